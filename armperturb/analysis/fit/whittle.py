@@ -143,12 +143,6 @@ class Whittle:
         """Whether derivatives that are not quick take long."""
         return len(self._frequency) > LONGEST_RUN
 
-    @property
-    def certainty(self) -> Array:
-        """Factor on white rows that makes them tell as little as estimated noise lets them, (number,)."""
-        averaged = self._smoother.count * len(self._force)
-        return np.tile(np.maximum(1.0 - self._n_outputs / averaged, 0.0), 2 * self._n_outputs)
-
     def _predicted(self, values: Array, trials: slice = ALL) -> ComplexArray:
         """DFT of what the model says of some trials where it answers, (trial, output, answer)."""
         raise NotImplementedError
@@ -282,22 +276,11 @@ class Whittle:
         The latter is the inverse covariance of estimates, the former what `normal` says. Arguments are as there, and
         derivatives are quick.
         """
-<<<<<<< HEAD
-        mean = values if values.ndim == 1 else values.mean(axis=0)
-        known, left = np.zeros((2, mixing.shape[1], mixing.shape[1]))
-        for _, derivatives in self._quick_slopes(mean, mixing):
-            for each in np.moveaxis(derivatives, 1, 0):
-                rows = self._left(applied_rows(self._white, each))
-                known += rows @ rows.T
-                rows *= self.certainty
-                left += rows @ rows.T
-=======
         known, left = np.zeros((2, mixing.shape[1], mixing.shape[1]))
         for _, rows in self.white_slopes(values, mixing, quick=True):
             known += rows @ rows.T
             rows *= self.sure
             left += rows @ rows.T
->>>>>>> main
         return known, left
 
     def errors_by(self, values: Array, mixing: Array, changes: ComplexArray) -> Array:

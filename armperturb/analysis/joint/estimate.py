@@ -169,7 +169,7 @@ def likelihood_profile(
         values = start.copy()
         values[place] = at
         values = _minimised(likelihood, values, longest_delay, others)
-        left = likelihood.output_rows(values, likelihood.movement(values)) * likelihood.certainty
+        left = likelihood.output_rows(values, likelihood.movement(values)) * likelihood.sure
         return values, float(np.sum(left**2))
 
     estimate, error = float(fit.values[place]), float(np.sqrt(fit.covariance[place, place]))
@@ -232,7 +232,7 @@ def _covariance(likelihood: JointLikelihood, values: Array, free: NDArray[np.boo
     """
 
     def columns_at(movement: JointSignals) -> Array:
-        rows = likelihood.derivatives(values, movement)[free] * likelihood.certainty
+        rows = likelihood.derivatives(values, movement)[free] * likelihood.sure
         return np.asarray(rows.reshape(int(free.sum()), -1))
 
     instruments = columns_at(likelihood.movement(values))
