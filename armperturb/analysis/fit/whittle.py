@@ -159,6 +159,16 @@ class Whittle:
         """Derivatives that may leave out what takes long; see `normal`."""
         return self._slopes(values, mixing)
 
+    def _exact_slopes(self, values: Array, mixing: Array, residual: Array) -> Array | None:
+        """`Normal.slopes` of long records, from which the derivatives need not be known; None where they are quick.
+
+        Args:
+          values: of the model, (parameter,).
+          mixing: (parameter, free parameter).
+          residual: `_white_rows`, (trial, number).
+        """
+        return None
+
     def _to_smooth(self, values: Array) -> ComplexArray:
         """Filters that make the residual of a model nearly white, (output, output, frequency)."""
         raise NotImplementedError
@@ -239,18 +249,19 @@ class Whittle:
         """Least squares with respect to free parameters; mixing is (parameter, free parameter).
 
         Where the parameters of trials differ, derivatives are those at their mean. Quick ones leave out how the
-        response to a record's edges depends on the parameters.
+        response to a record's edges depends on the parameters; of long records the information does in any case.
         """
         residual = self._white_rows(values)
         mean = values if values.ndim == 1 else values.mean(axis=0)
         n_trials, n = len(residual), mixing.shape[1]
         slopes, informations = np.zeros((n_trials, n)), np.zeros((n_trials, n, n))
-        for trials, derivatives in (self._quick_slopes if quick else self._slopes)(mean, mixing):
+        exact = None if quick or not self.is_long else self._exact_slopes(mean, mixing, residual)
+        for trials, derivatives in (self._slopes if not quick and exact is None else self._quick_slopes)(mean, mixing):
             for place, trial in enumerate(range(n_trials)[trials]):
                 rows = self._left(applied_rows(self._white, derivatives[:, place]))
                 slopes[trial] = rows @ residual[trial]
                 informations[trial] = rows @ rows.T
-        return Normal(float(np.sum(residual**2)), slopes, informations)
+        return Normal(float(np.sum(residual**2)), slopes if exact is None else exact, informations)
 
     def informations(self, values: Array, mixing: Array) -> tuple[Array, Array]:
         """Fisher information of all trials, and what of it is left as the noise is estimated, (parameter, parameter).
