@@ -137,8 +137,9 @@ def require_plausible(trial: Timed) -> None:
     if trial.servo is not None:  # `check_joint` names an angle in degrees by the inertia
         limits["rad"] *= DEGREES
     for name, values in signals.items():
-        size, unit = np.abs(values).max(axis=1), trial.units[name]
-        if size.max() > limits[unit]:
+        unit = trial.units[name]
+        if max(values.max(), -values.min()) > limits[unit]:
+            size = np.abs(values).max(axis=1)
             at = int(np.argmax(size > limits[unit]))
             raise ValueError(
                 f"{where}: {name} is {size[at]:.4g} {unit} at {at / rates[name]:.6g} s; expected at most "
