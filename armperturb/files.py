@@ -98,7 +98,7 @@ def require_new(paths: Iterable[Path], *, overwrite: bool) -> None:
         require_folder_of(path)
         require_no_input(path)
         require_no_folder(path)
-        if path.is_file() and not overwrite:
+        if os.path.lexists(path) and not overwrite:  # be it a link to nothing, or a pipe
             raise ValueError(f"{path}: exists already; expected a new name (--overwrite replaces the file)")
 
 
