@@ -17,9 +17,9 @@ from pathlib import Path
 
 from armperturb import cli
 from armperturb.study.results.cache import ANALYSIS
-from benchmarks.faults import contents
+from benchmarks.faults import REMOVED, contents
 from benchmarks.kept_rows import Row, with_kept_rows
-from benchmarks.kills import COMMANDS, REMOVED, inputs_of, scratch_folder, wrong
+from benchmarks.kills import COMMANDS, inputs_of, scratch_folder, wrong
 
 OF_FILES, PR_CAPBSET_DROP, CAPABILITY_VERSION = (1, 2, 3), 24, 0x20080522
 """Capabilities that pass over rights of files (CAP_DAC_OVERRIDE, CAP_DAC_READ_SEARCH, CAP_FOWNER), and how Linux is

@@ -69,6 +69,13 @@ def test_a_result_of_the_name_of_an_input_is_refused(folder, capsys):
     assert structure.read_text(encoding="utf-8") == 'base = "3b"\n'
 
 
+def test_a_file_that_no_run_has_written_is_not_removed(folder):
+    (folder / "distortion.csv").write_text("mine", encoding="utf-8")
+    recording = Path(__file__).parents[2] / "examples" / "data" / "relax.nc"
+    assert cli.main(["response", str(recording), "--method", "welch", "--out", str(folder)]) == 0
+    assert (folder / "distortion.csv").read_text(encoding="utf-8") == "mine"
+
+
 def test_joins_keep_what_all_have_and_name_the_rest(folder, capsys):
     first = load_recording(next(folder.glob("*.nc")))
     n_time = first.sizes["time"]
