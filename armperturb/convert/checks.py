@@ -120,8 +120,8 @@ def _copies(trials: Sequence[xr.Dataset]) -> dict[int, int]:
             if means[place] - means[other] > max(within[place], within[other]):
                 break
             if _is_copy(trials[place], trials[other]):
-                one, two = (first.get(each, each) for each in (place, other))
-                first |= {max(place, one): min(one, two), max(other, two): min(one, two)}
+                same = {place, other, first.get(place, place), first.get(other, other)}
+                first |= dict.fromkeys(same, min(same))
     return {place: before for place, before in first.items() if before != place}
 
 

@@ -216,12 +216,12 @@ def earlier_perturbations(folder: Path) -> list[Path]:
     Raises:
       ValueError: there are some, and no plan that they are of.
     """
-    found = sorted((folder / PERTURBATIONS).glob("trial_*.csv"))
+    earlier = sorted((folder / PERTURBATIONS).glob("trial_*.csv"))
     settings = folder / SETTINGS
     is_ours = settings.is_file() and OF_A_PLAN in settings.read_bytes()[:LARGEST_SETTINGS]
-    if found and not is_ours:
-        raise ValueError(f"{found[0]}: is of no earlier plan, as {settings} is none's; expected another folder")
-    return found
+    if earlier and not is_ours:
+        raise ValueError(f"{earlier[0]}: is of no earlier plan, as {settings} is none's; expected another folder")
+    return earlier
 
 
 def _write_settings(design: Design, path: Path) -> None:
