@@ -155,14 +155,10 @@ class Laboratory:
         _require_joints(spec, joints or (), "joints")
         spec = lock_joints(spec, locked, start) if locked else spec
         hand = _hand_site(spec, hand_site)
-        arm = spec.compile()
-        data = mujoco.MjData(arm)
         place = None if handle is None else np.array(handle, dtype=float)
         if place is not None and place.shape != (3,):
             raise ValueError(f"{owner}: handle = {handle!r}; expected three numbers, x, y and z [m]")
-        site, turn = arm.site(hand).id, np.radians(turn_deg)
-        moving = {name: value for name, value in start.items() if _has_joint(arm, name)}
-        take_posture(arm, data, moving, site, place)
+        arm, data = _in_posture(spec, hand, start, place)
         for name, value in controls.items():
             data.ctrl[arm.actuator(name).id] = value
         muscles = muscles_of(arm)
@@ -173,6 +169,7 @@ class Laboratory:
                     "muscle, or no activation"
                 )
             holding_activation(arm, data, activation)
+        site, turn = arm.site(hand).id, np.radians(turn_deg)
         grip = Grip(stiffness=k_h, damping=b_h, upright=_leaves_plane(arm, data, site))
         place = data.site_xpos[site].copy() if place is None else place
         self.model = in_laboratory(spec, hand, self.environment, grip, place, turn, timestep).compile()
@@ -181,12 +178,7 @@ class Laboratory:
         self._slides = np.array([self.model.joint(PREFIX + name).qposadr[0] for name in SLIDES])
         self._gauge = int(self.model.sensor(PREFIX + STRAIN_GAUGE).adr[0])
         self._push = self.model.actuator(PREFIX + PUSHES[0]).id
-        pole = fastest_pole(self.model, self._data)
-        if pole * timestep > RK4_LIMIT:
-            raise ValueError(
-                f"{owner}: fastest pole of arm and grip = {pole:.4g} 1/s; expected at most {RK4_LIMIT / timestep:.4g} "
-                f"1/s at timestep = {timestep:g} s (a smaller timestep, or a softer grip)"
-            )
+        _require_slow(self.model, self._data, timestep)
         with silent_simulator():
             slides = np.array([self.model.joint(PREFIX + name).dofadr[0] for name in SLIDES])
             settled = settle(self.model, self._data, self._slides, slides, self._gauge)
@@ -366,6 +358,27 @@ def _start(
         require_number("Laboratory", f"posture_deg of {name!r}", value, at_least=float(low), at_most=float(high))
         start[name] = float(np.radians(value))
     return start, controls
+
+
+def _in_posture(
+    spec: mujoco.MjSpec, hand: str, start: Mapping[str, float], place: Array | None
+) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """The arm alone, as its joints start, or with its hand at a place in the world [m]."""
+    arm = spec.compile()
+    data = mujoco.MjData(arm)
+    moving = {name: value for name, value in start.items() if _has_joint(arm, name)}
+    take_posture(arm, data, moving, arm.site(hand).id, place)
+    return arm, data
+
+
+def _require_slow(model: mujoco.MjModel, data: mujoco.MjData, timestep: float) -> None:
+    """Refuse an arm that is too fast for the step of the simulation [s]."""
+    pole = fastest_pole(model, data)
+    if pole * timestep > RK4_LIMIT:
+        raise ValueError(
+            f"Laboratory: fastest pole of arm and grip = {pole:.4g} 1/s; expected at most {RK4_LIMIT / timestep:.4g} "
+            f"1/s at timestep = {timestep:g} s (a smaller timestep, or a softer grip)"
+        )
 
 
 def _leaves_plane(model: mujoco.MjModel, data: mujoco.MjData, site: int) -> bool:
