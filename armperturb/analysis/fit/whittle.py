@@ -29,7 +29,7 @@ from armperturb.analysis.fit.frequency_rows import (
     least_squares_rows,
     orthonormal,
 )
-from armperturb.analysis.fit.total_admittance import LONGEST_RUN
+from armperturb.analysis.fit.total_admittance import LONGEST_RUN, SHORTER_RUN
 from armperturb.arrays import Array, ComplexArray, Indices
 
 ROUND_OFF = 1e-12
@@ -231,6 +231,23 @@ class Whittle:
         """Rows without what the unknown outputs span."""
         return rows if self._span is None else rows - (rows @ self._span.T) @ self._span
 
+    def _runs_of_rows(self, derivatives: ComplexArray) -> Iterator[tuple[Array, slice]]:
+        """White rows of derivatives (..., output, answer), and of which answers; of long records part by part.
+
+        Inner products of the parts add up to those of the whole, which would take much memory.
+        """
+        n = derivatives.shape[-1]
+        if self._span is not None or n <= LONGEST_RUN:
+            yield self._left(applied_rows(self._white, derivatives)), ALL
+            return
+        for start in range(0, n, SHORTER_RUN):
+            run = slice(start, start + SHORTER_RUN)
+            yield applied_rows(self._white[..., run], derivatives[..., run]), run
+
+    def _in_run(self, row: Array, run: slice) -> Array:
+        """What a row, (number,), has in a run of answers."""
+        return row.reshape(2 * self._n_outputs, -1)[:, run].ravel()
+
     def _white_rows(self, values: Array) -> Array:
         """The white residual of each trial, real then imaginary parts, (trial, number)."""
         return self._left(applied_rows(self._white, self._residual(values)))
@@ -258,9 +275,9 @@ class Whittle:
         exact = None if quick or not self.is_long else self._exact_slopes(mean, mixing, residual)
         for trials, derivatives in (self._slopes if not quick and exact is None else self._quick_slopes)(mean, mixing):
             for place, trial in enumerate(range(n_trials)[trials]):
-                rows = self._left(applied_rows(self._white, derivatives[:, place]))
-                slopes[trial] = rows @ residual[trial]
-                informations[trial] = rows @ rows.T
+                for rows, run in self._runs_of_rows(derivatives[:, place]):
+                    slopes[trial] += rows @ self._in_run(residual[trial], run)
+                    informations[trial] += rows @ rows.T
         return Normal(float(np.sum(residual**2)), slopes if exact is None else exact, informations)
 
     def informations(self, values: Array, mixing: Array) -> tuple[Array, Array]:
@@ -275,10 +292,10 @@ class Whittle:
         known, left = np.zeros((2, mixing.shape[1], mixing.shape[1]))
         for _, derivatives in self._quick_slopes(mean, mixing):
             for each in np.moveaxis(derivatives, 1, 0):
-                rows = self._left(applied_rows(self._white, each))
-                known += rows @ rows.T
-                rows *= sure
-                left += rows @ rows.T
+                for rows, run in self._runs_of_rows(each):
+                    known += rows @ rows.T
+                    rows *= self._in_run(sure, run)
+                    left += rows @ rows.T
         return known, left
 
     def errors_by(self, values: Array, mixing: Array, changes: ComplexArray) -> Array:
@@ -294,7 +311,8 @@ class Whittle:
         rows = self._left(applied_rows(self._white, changes))
         for trials, derivatives in self._quick_slopes(mean, mixing):
             for place, trial in enumerate(range(self.n_trials)[trials]):
-                slopes += applied_rows(self._white, derivatives[:, place]) @ rows[:, trial].T
+                for of_run, run in self._runs_of_rows(derivatives[:, place]):
+                    slopes += of_run @ np.array([self._in_run(each, run) for each in rows[:, trial]]).T
         return slopes
 
     def lack_of_fit(self, values: Array) -> LackOfFit:
