@@ -182,6 +182,9 @@ def printable(text: str) -> str:
 
 
 def _parse(arguments: Sequence[str]) -> Command:
+    if "" in arguments:  # an empty path would be the current folder
+        before = " ".join([*arguments[: arguments.index("")][-1:], "''"])
+        raise ValueError(f"{before}: an empty argument; expected a value (is a variable unset?)")
     kinds = [command_class(name) if name in arguments[:1] else _without_options(name) for name in COMMANDS]
     any_command: Any = Union[tuple(kinds)]  # noqa: UP007
     registry = constructors.ConstructorRegistry()

@@ -69,6 +69,14 @@ def test_a_result_of_the_name_of_an_input_is_refused(folder, capsys):
     assert structure.read_text(encoding="utf-8") == 'base = "3b"\n'
 
 
+def test_an_empty_folder_is_not_the_current_one(folder, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    before = content_of(folder)
+    line = refused(capsys, "identify", next(folder.glob("*.nc")), "--model", "3b", "--out", "")
+    assert "--out '': an empty argument" in line
+    assert content_of(folder) == before
+
+
 def test_a_file_that_no_run_has_written_is_not_removed(folder):
     (folder / "distortion.csv").write_text("mine", encoding="utf-8")
     recording = Path(__file__).parents[2] / "examples" / "data" / "relax.nc"
