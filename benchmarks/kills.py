@@ -285,9 +285,13 @@ def kills(name: str, inputs: Path, seeds: list[int]) -> Iterator[Row]:
 
 
 def _visible(files: dict[str, bytes]) -> dict[str, bytes]:
-    """Files that are not hidden, without what a report says of results that were kept, as a first one has none."""
-    visible = {name: content for name, content in files.items() if not Path(name).name.startswith(".")}
-    return {name: b" ".join(RECALLED.sub(b" ", content).split()) for name, content in visible.items()}
+    """Files that are not hidden, `without_recalled`."""
+    return without_recalled({name: each for name, each in files.items() if not Path(name).name.startswith(".")})
+
+
+def without_recalled(files: dict[str, bytes]) -> dict[str, bytes]:
+    """Files without what a report says of results that were kept, as a first one has none."""
+    return {name: b" ".join(RECALLED.sub(b" ", content).split()) for name, content in files.items()}
 
 
 def _in_a_fork(command: list[str]) -> None:
