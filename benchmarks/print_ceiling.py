@@ -55,8 +55,8 @@ def arms_of_tables(models: Mapping[str, str]) -> dict[str, Subject]:
 
 
 def arms_of(person: Person) -> dict[str, Subject]:
-    """Condition to the arm of a person in it."""
-    return {name: THESIS.condition(name).subject_of(person) for name in TABLES}
+    """Condition to the arm of a person in it, of the tasks that the person has."""
+    return {name: THESIS.condition(name).subject_of(person) for name in TABLES if name[:2] in person.subjects}
 
 
 def fits_of(

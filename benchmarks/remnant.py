@@ -99,7 +99,7 @@ def main() -> None:
     print(noise)
     print("\n".join(rows(person, options.task, noise, options.seed)))
     if options.fits:
-        arms = {name: arm for name, arm in arms_of(person).items() if name.startswith(options.task)}
+        arms = arms_of(replace(person, subjects={options.task: person.subjects[options.task]}))
         cells = fitted_cells(fits_of(arms, {options.task: noise}, 11, options.fits, "neutral"))
         own = [each for each in cells if each.cell.condition.startswith(options.task)]
         for appendix in "CDE":

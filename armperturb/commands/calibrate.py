@@ -23,6 +23,8 @@ class Calibrate(Command):
     """Muscle laws to calibrate; the person that is written is that of the full law, the others are for comparison."""
     seed: int = 0
     """Seed of the multisines."""
+    multisines: int = 1
+    """Sets of multisines and noise that the search sees; what a person fits of a single one is partly its chance."""
     iterations: int = 20
     """Largest number of steps of the search."""
     overwrite: bool = False
@@ -45,7 +47,14 @@ class Calibrate(Command):
                     bar.update()
 
                 calibrations.append(
-                    calibrate(task, law, seed=self.seed, max_iterations=self.iterations, progress=report_progress)
+                    calibrate(
+                        task,
+                        law,
+                        seed=self.seed,
+                        n_multisines=self.multisines,
+                        max_iterations=self.iterations,
+                        progress=report_progress,
+                    )
                 )
                 bar.update(number * self.iterations - bar.n)
         save_calibrations(self.out, calibrations)
