@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from armperturb.files import write_whole
 
@@ -44,6 +45,7 @@ _MAKE: Mapping[str, Callable[[Any], Any]] = {
     "path": Path,
     "tuple": tuple,
     "mapping": dict,
+    "table": lambda parts: pd.DataFrame(parts["columns"], index=parts["index"]),
 }
 """Kind to what makes it of its content."""
 
@@ -66,8 +68,8 @@ def write_archive(path: Path, source: Any, value: Any) -> None:
     Args:
       path: of the file; its folder is there.
       source: what the value was made from, as JSON has it.
-      value: None, truth values, numbers, texts, paths, tuples, lists, mappings, arrays, and dataclasses and named
-        tuples of this package that hold such.
+      value: None, truth values, numbers, texts, paths, tuples, lists, mappings, arrays, tables of such, and
+        dataclasses and named tuples of this package that hold such.
 
     Raises:
       TypeError: it holds anything else.
@@ -147,6 +149,9 @@ def _plain(value: Any) -> Any:
         return {_KIND: "array", _CONTENT: base64.b64encode(buffer.getvalue()).decode("ascii")}
     if isinstance(value, Path):
         return {_KIND: "path", _CONTENT: str(value)}
+    if isinstance(value, pd.DataFrame):
+        columns = {name: column.tolist() for name, column in value.items()}
+        return {_KIND: "table", _CONTENT: _plain({"columns": columns, "index": value.index.tolist()})}
     if _is_record(type(value)):
         names = getattr(value, "_fields", None) or [each.name for each in dataclasses.fields(value) if each.init]
         return {_KIND: _name(type(value)), _CONTENT: {name: _plain(getattr(value, name)) for name in names}}

@@ -1,8 +1,11 @@
-"""What the analysis of EMG reaches: `python -m benchmarks.emg [PEOPLE]`; some 30 s of a core per person.
+"""What the analysis of EMG reaches: `python -m benchmarks.emg [PEOPLE [SEED [PART]]]`; some 40 s of a core per person.
+
+PART is `linear_laboratory` for fits alone, of people whose arms keep the geometry of their posture.
 
 People are drawn as in a study and do the thesis's protocol with a maximal contraction, under the published forces, with
-all noise. Each line is a quantity, its target if it has one, and what was measured. Lines of NeuroKit2 need it
-installed, and are left out otherwise.
+all noise. Their EMG shows background and reflexes; the last lines are of the same people whose effort (remnant and slow
+corrections) shows as well. Each line is a quantity, its target if it has one, and what was measured. Lines of NeuroKit2
+need it installed, and are left out otherwise.
 """
 
 import importlib
@@ -42,12 +45,22 @@ PEOPLE, SEED = 10, 5
 MAXIMAL = Condition(name="MVC", task="PT", contraction=1.0)
 PROTOCOL = replace(THESIS, forces="published", conditions=(*THESIS.conditions, MAXIMAL))
 HELD = ("PT0", "PT2.5", "PT7.5", "PT22.5")
+MOVED = ("PT2.5", "PT7.5", "PT22.5")
 HOLDING = replace(PROTOCOL, conditions=(*(THESIS.condition(name) for name in HELD), MAXIMAL), pulse_unit_condition="")
+MOVING = replace(HOLDING, conditions=tuple(each for each in HOLDING.conditions if each.name in (*MOVED, "MVC")))
 SLIGHT = 0.05
 """Co-contraction that has to be noticed [-]."""
 
 
-def recorded(person: Person, number: int, protocol: Protocol = PROTOCOL) -> tuple[xr.Dataset, np.ndarray]:
+def recorded(
+    person: Person,
+    number: int,
+    protocol: Protocol = PROTOCOL,
+    seed: int = SEED,
+    *,
+    effort: float = 0.0,
+    linear: bool = False,
+) -> tuple[xr.Dataset, np.ndarray]:
     """A person's recording, and the true index of co-contraction of each trial, (trial, joint)."""
     indices = []
     original = Emg.read
@@ -65,10 +78,11 @@ def recorded(person: Person, number: int, protocol: Protocol = PROTOCOL) -> tupl
         indices.append([float(np.minimum(groups[joint, 1], groups[joint, -1]).mean()) for joint in "se"])
         return original(emg, subject, excitation, rate, *others)
 
-    trials = protocol.trials(person, protocol.given_forces(), SEED, number)
-    options = {"engine": "compiled", "timestep": 2.5e-3, "n_threads": 1}
+    trials = protocol.trials(person, protocol.given_forces(), seed, number)
+    how: dict[str, Any] = {"linear": True} if linear else {"engine": "compiled", "timestep": 2.5e-3}
     with mock.patch.object(Emg, "read", read):
-        recording = run_experiment(trials, instruments=Instruments(marker_noise=None), **options)
+        instruments = Instruments(marker_noise=None, emg=Emg(effort=effort))
+        recording = run_experiment(trials, instruments=instruments, n_threads=1, **how)
     return recording, np.array(indices)
 
 
@@ -181,13 +195,13 @@ def one_muscle(volts: np.ndarray, rate: float, highpass: HighPass | None = None)
     )
 
 
-def nonlinear_people(n: int) -> Iterator[Line]:
+def nonlinear_people(n: int, seed: int) -> Iterator[Line]:
     """Relaxation, co-contraction, reflex responses and latencies of nonlinear people in the thesis's protocol."""
     spent, late, relaxed, slight, of_conditions = 0.0, 0.0, [], [], []
     responses, by_phase, latencies = Intervals(), [], Intervals()
     only_relaxed = replace(PROTOCOL, conditions=(THESIS.condition("RT7.5"), MAXIMAL), pulse_unit_condition="")
-    for number, person in enumerate(draw_cohort(n, SEED)):
-        recording, indices = recorded(person, number)
+    for number, person in enumerate(draw_cohort(n, seed)):
+        recording, indices = recorded(person, number, seed=seed)
         conditions = trials_by_condition(recording, is_checked=True)
         start = time.process_time()
         amplitudes = envelopes(recording)
@@ -201,7 +215,7 @@ def nonlinear_people(n: int) -> Iterator[Line]:
             by_phase += list(answer["delay_by_phase_s"] - person.subjects["PT"].Td_s)
         relaxed += [bool(result.active_muscles(name)) for name in ("RT0", "RT2.5", "RT7.5", "RT22.5")]
         of_conditions.append(_indices(result, recording, indices))
-        recording, _ = recorded(slightly_active(person), number, only_relaxed)
+        recording, _ = recorded(slightly_active(person), number, only_relaxed, seed)
         slight.append(bool(activity(envelopes(recording)).active_muscles("RT7.5")))
     yield Line("relaxed people called active", "at most 5 %", f"{sum(relaxed)} of {len(relaxed)} conditions")
     yield Line(f"people with {SLIGHT:.0%} co-contraction noticed", "at least 90 %", f"{sum(slight)} of {len(slight)}")
@@ -217,12 +231,12 @@ def nonlinear_people(n: int) -> Iterator[Line]:
     yield Line("CPU of ten people, all of these", "20 s", f"{every:.1f} s, {of_latencies:.1f} s of it latencies")
 
 
-def linear_people(n: int) -> Iterator[Line]:
+def linear_people(n: int, seed: int) -> Iterator[Line]:
     """Latencies of linear people, also by NeuroKit2, and reflexes that are identified with EMG and without."""
-    latencies, fits, neurokit = Intervals(), Fits(), optional_neurokit()
+    latencies, fits, showing, neurokit = Intervals(), Fits(), Fits(), optional_neurokit()
     thresholds, here = [], []
-    for number, person in enumerate(draw_cohort(n, SEED, muscles="linear")):
-        recording, _ = recorded(person, number, HOLDING)
+    for number, person in enumerate(draw_cohort(n, seed, muscles="linear")):
+        recording, _ = recorded(person, number, HOLDING, seed)
         conditions, amplitudes = trials_by_condition(recording, is_checked=True), envelopes(recording)
         result = onsets([conditions[name] for name in HELD], amplitudes)
         latencies.add(result.latencies, "latency_s", person)
@@ -232,6 +246,8 @@ def linear_people(n: int) -> Iterator[Line]:
                 thresholds.append(latency - person.subjects["PT"].Td_s)
                 here.append(row["latency_s"] - person.subjects["PT"].Td_s)
         fits.add(person, conditions, amplitudes)
+        recording, _ = recorded(person, number, MOVING, seed, effort=1.0)
+        showing.add(person, trials_by_condition(recording, is_checked=True), envelopes(recording))
     yield from latencies.lines("latency of answers to pulses, linear people")
     if neurokit is not None:
         known = np.isfinite(thresholds)
@@ -241,6 +257,16 @@ def linear_people(n: int) -> Iterator[Line]:
         yield Line("the same by NeuroKit2, pulses of PT0", "", said)
         yield Line("the same muscles here", "", f"bias {same.mean():+.1f} ms, SD {same.std():.1f} ms")
     yield from fits.lines()
+    yield from (line._replace(quantity=f"effort shows: {line.quantity}") for line in showing.lines())
+
+
+def linear_laboratory(n: int, seed: int) -> Iterator[Line]:
+    """The same fits of people whose arms keep the geometry of their posture."""
+    fits, protocol = Fits(), MOVING
+    for number, person in enumerate(draw_cohort(n, seed, muscles="linear")):
+        recording, _ = recorded(person, number, protocol, seed, linear=True)
+        fits.add(person, trials_by_condition(recording, is_checked=True), envelopes(recording))
+    yield from (line._replace(quantity=f"linear laboratory: {line.quantity}") for line in fits.lines())
 
 
 def _by_threshold(neurokit: Any, recording: xr.Dataset, muscle: str, direction: float) -> float:
@@ -298,20 +324,18 @@ class Fits:
     """Reflexes of linear people, model 3: each condition by itself without and with EMG, and all with common gains."""
 
     WAYS = ("alone", "EMG", "EMG, conditions together")
-    FITTED, JOINED = ("PT7.5", "PT22.5"), ("PT2.5", "PT7.5", "PT22.5")
-    BETTER = 100.0
-    """By how much the EMG of the bound tells more than that of people [-]."""
-
+    FITTED = ("PT7.5", "PT22.5")
     RECTIFIED = 2.0
     """By how much it would tell more at most if muscles were outputs one by one, each rectified: the difference between
     antagonists has the noise of both, and while the arm moves one way only one of them answers [-]."""
 
     def __init__(self) -> None:
         self.rows, self.seconds, self.n = list[dict[str, Any]](), np.zeros(3), 0
+        self.suspicious = list[bool]()
 
     def add(self, person: Person, conditions: dict[str, ConditionTrials], amplitudes: Envelopes) -> None:
         """Fit a person's trials."""
-        groups = {name: _with_and_without(conditions[name], amplitudes) for name in self.JOINED}
+        groups = {name: _with_and_without(conditions[name], amplitudes) for name in MOVED}
         ways: list[dict[str, Any]] = []
         for place in (0, 1):
             start = time.process_time()
@@ -321,19 +345,18 @@ class Fits:
         together, share = estimate([each[1] for each in groups.values()], share=["gain"]), ("gain",)
         self.seconds[2] += time.process_time() - start
         self.n += 1
+        self.suspicious += [fit.is_suspicious for fit in ways[1].values()]
         of_all = _alike([each[1] for each in groups.values()], together, share)
         for name in self.FITTED:
             moved, active = (ways[place][name] for place in (0, 1))
             alone, with_emg = _alike([groups[name][0]], moved), _alike([groups[name][1]], active)
-            bound, rectified = (
-                _alike([groups[name][1]], active, emg_times=times) for times in (self.BETTER, self.RECTIFIED)
-            )
+            rectified = _alike([groups[name][1]], active, emg_times=self.RECTIFIED)
             for parameter in moved.values:
                 if not parameter.startswith(("kv_", "kp_", "Td_", "fact_")):
                     continue
                 true, label = getattr(person.subjects["PT"], parameter), f"{parameter} [{name}]"
                 row: dict[str, Any] = {"quantity": f"{parameter.partition('_')[0]}, {name}"}
-                row["EMG"], row["bound"] = with_emg[parameter] / alone[parameter], bound[parameter] / alone[parameter]
+                row["EMG"] = with_emg[parameter] / alone[parameter]
                 row["rectified"] = rectified[parameter] / alone[parameter]
                 row["EMG, conditions together"] = of_all[label] / alone[parameter]
                 fitted = (moved, parameter), (active, parameter), (together, label)
@@ -346,7 +369,7 @@ class Fits:
         """Medians of ratios, errors and coverage."""
         for quantity, of in pd.DataFrame(self.rows).groupby("quantity", sort=False):
             of_gains = quantity.startswith("k")
-            beside = f" (rectified outputs at best {of['rectified'].median():.2f}, bound {of['bound'].median():.2f})"
+            beside = f" (rectified outputs at best {of['rectified'].median():.2f})"
             for way in self.WAYS[1:]:
                 yield Line(
                     f"{quantity}: standard error over that without EMG, {way}",
@@ -358,6 +381,8 @@ class Fits:
                 target = "90 to 98 %" + ("; 2 ms" if quantity.startswith("Td") else "")
                 held = f"intervals hold {100 * of[f'held {way}'].mean():.0f} % of {len(of)}"
                 yield Line(f"{quantity}, {way}", target, f"{held}; RMS error {error:.3g}")
+        refuted = f"{sum(self.suspicious)} of {len(self.suspicious)}"
+        yield Line("fits with EMG of one condition whose lack of fit is told", "", refuted)
         spent = ", ".join(f"{each / self.n:.1f} s" for each in self.seconds)
         yield Line("CPU of a fit without EMG, with it, of three conditions together", "", spent)
 
@@ -404,12 +429,13 @@ def _indices(result: Activity, recording: xr.Dataset, true: np.ndarray) -> np.nd
     return np.array(rows)
 
 
-def main(n: int) -> None:
-    """Print every line."""
-    for part in (known_envelopes(), lateness(), nonlinear_people(n), linear_people(n)):
-        for line in part:
-            print(f"{line.quantity:75}  {line.target:16}  {line.measured}", flush=True)
+def main(n: int, seed: int = SEED, part: str = "") -> None:
+    """Print every line, or those of a part."""
+    every = (known_envelopes(), lateness(), nonlinear_people(n, seed), linear_people(n, seed))
+    for lines in (linear_laboratory(n, seed),) if part else every:
+        for line in lines:
+            print(f"{line.quantity:87}  {line.target:16}  {line.measured}", flush=True)
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else PEOPLE)
+    main(*([int(each) for each in sys.argv[1:3]] or [PEOPLE]), *sys.argv[3:4])

@@ -61,7 +61,7 @@ def main(arguments: Sequence[str] = ()) -> None:
     protocol = replace(PROTOCOL, conditions=(THESIS.condition("PT7.5"),), pulse_unit_condition="")
     found: dict[str, list[float]] = {label: [] for label in FURTHER}
     for number, person in enumerate(draw_cohort(options.people, options.seed, muscles="linear")):
-        recording, _ = recorded(person, number, protocol)
+        recording, _ = recorded(person, number, protocol, options.seed)
         group = Group.prepare([trials_by_condition(recording)["PT7.5"]], structure_of("3", wide=True))
         fitted = estimate([group])
         problem = JointLikelihood([group], "record", ())

@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from armperturb import archive
@@ -61,6 +62,12 @@ def test_arrays_come_back_to_the_last_bit(array, tmp_path):
     found = read_archive(tmp_path / "a").value["x"]
     np.testing.assert_array_equal(found, array)
     assert np.asarray(found).dtype == array.dtype
+
+
+def test_tables_come_back_with_their_index(tmp_path):
+    table = pd.DataFrame({"name": ["a", "b"], "n": [1, 2], "x": [0.1, math.nan], "is_odd": [True, False]}, index=[3, 7])
+    write_archive(tmp_path / "a", {"x": 1}, table)
+    pd.testing.assert_frame_equal(read_archive(tmp_path / "a").value, table, check_exact=True)
 
 
 def test_nan_and_mappings_that_cannot_change(tmp_path):

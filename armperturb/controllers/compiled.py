@@ -34,7 +34,7 @@ def thinned_torque(velocity: float, damping: float, thinning: float) -> float:
     return damping * velocity * (thinned / (1.0 + thinned))
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def law_torque(p: Lane, m: Memory, stretch: Array, velocity: Array, out: Array) -> None:
     """One step of the muscle law: the torque with which elements oppose stretch, beside the linear spring and damper.
 
@@ -90,7 +90,7 @@ def spindle_velocity(velocity: float, saturation: float, direction: float, thres
     return min(1.0 + direction, 1.0) * up - min(1.0 - direction, 1.0) * down
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def spindle_excitation(p: Lane, q_s: float, q_e: float, w_s: float, w_e: float, out: Array) -> None:
     """Reflexive excitation u_r of both joints by the spindles [Nm], (joint,) (eq. 2.8).
 
@@ -124,7 +124,7 @@ def between(before: float, older: float, newer: float, after: float, t: float) -
     return older + t * (first + t * (3.0 * rise - 2.0 * first - last + t * (first + last - 2.0 * rise)))
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def delayed(sent: Array, joint: int, newest: int, back: float) -> float:
     """What was sent some steps before the newest sample of a ring, see `between`.
 
@@ -145,7 +145,7 @@ def delayed(sent: Array, joint: int, newest: int, back: float) -> float:
     return between(before, older, newer, after, 1.0 - (back - whole))
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _add_memory_reflexes(p: Lane, m: Memory, q: Array, w: Array, muscle: Array, timestep: float) -> None:
     """Add Ka q'' + Kf tau to the excitation (the law of `analysis.arm.linear_arm`).
 
@@ -170,7 +170,7 @@ def _add_memory_reflexes(p: Lane, m: Memory, q: Array, w: Array, muscle: Array, 
             m.excitation[joint] += p.ka[joint + other] * acceleration + p.kf[joint + other] * muscle[other]
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def activated(p: Lane, filters: Array, joint: int, excitation: float) -> float:
     """One step of a joint's activation filter: the active torque [Nm] (eq. B.19 as a transposed direct form II).
 
@@ -186,7 +186,7 @@ def activated(p: Lane, filters: Array, joint: int, excitation: float) -> float:
     return active
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def act(
     p: Lane, m: Memory, angle: Array, velocity: Array, timestep: float, work: Array, held: Array, sent: Array
 ) -> None:

@@ -125,7 +125,7 @@ def _moved(z: State, slope: State, time: float) -> State:
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")
-def _slope(w: Array, i: int, z: State, upper: State, lower: State, stage: int) -> State:
+def _slope(w: Array, i: int, z: State, upper: State, lower: State, torque: State, push: State) -> State:
     """Derivative of (q_s, q_e, x, y, their velocities), q from the posture and x from the start.
 
     Args:
@@ -134,7 +134,8 @@ def _slope(w: Array, i: int, z: State, upper: State, lower: State, stage: int) -
       z: the state.
       upper: sine and cosine of the upper arm's angle.
       lower: of the forearm's.
-      stage: 0 at the start of the step, 2 in the middle, 4 at the end.
+      torque: on the joints beside that of springs and dampers [Nm], at this moment of the step.
+      push: on the handle [N], likewise.
     """
     q_s, q_e, x, y, w_s, w_e, v_x, v_y = z
     (sin_u, cos_u), (sin_l, cos_l) = upper, lower
@@ -145,9 +146,9 @@ def _slope(w: Array, i: int, z: State, upper: State, lower: State, stage: int) -
     f_y = w[K_H, i] * (y + w[HAND_Y, i] + s_x) + w[B_H, i] * (v_y - s_y * w_s - e_y * w_e)
     couple = w[COUPLING, i] * (cos_u * cos_l + sin_u * sin_l)
     swirl = w[COUPLING, i] * (cos_u * sin_l - sin_u * cos_l)
-    t_s = w[TORQUE + stage, i] + s_x * f_x + s_y * f_y + swirl * w_e * (2.0 * w_s + w_e)
+    t_s = torque[0] + s_x * f_x + s_y * f_y + swirl * w_e * (2.0 * w_s + w_e)
     t_s -= w[K_S, i] * q_s + w[K_SE, i] * q_e + w[B_S, i] * w_s + w[B_SE, i] * w_e
-    t_e = w[TORQUE + stage + 1, i] + e_x * f_x + e_y * f_y - swirl * w_s * w_s
+    t_e = torque[1] + e_x * f_x + e_y * f_y - swirl * w_s * w_s
     t_e -= w[K_SE, i] * q_s + w[K_E, i] * q_e + w[B_SE, i] * w_s + w[B_E, i] * w_e
     m_e = w[INERTIA_E, i]
     m_s, m_se = w[INERTIA_S, i] + 2.0 * couple, m_e + couple
@@ -159,8 +160,8 @@ def _slope(w: Array, i: int, z: State, upper: State, lower: State, stage: int) -
         v_y,
         (m_e * t_s - m_se * t_e) * share,
         (m_s * t_e - m_se * t_s) * share,
-        (w[PUSH + stage, i] - f_x - w[B_ENV, i] * v_x - w[K_ENV, i] * x) / w[M_ENV, i],
-        (w[PUSH + stage + 1, i] - f_y - w[B_ENV, i] * v_y - w[K_ENV, i] * y) / w[M_ENV, i],
+        (push[0] - f_x - w[B_ENV, i] * v_x - w[K_ENV, i] * x) / w[M_ENV, i],
+        (push[1] - f_y - w[B_ENV, i] * v_y - w[K_ENV, i] * y) / w[M_ENV, i],
     )
 
 
@@ -173,21 +174,24 @@ def _advance(w: Array, timestep: float) -> None:
     half = 0.5 * timestep
     for i in range(GROUP):
         z: State = (w[Q_S, i], w[Q_E, i], w[X, i], w[Y, i], w[W_S, i], w[W_E, i], w[V_X, i], w[V_Y, i])
+        torque, push = (w[TORQUE, i], w[TORQUE + 1, i]), (w[PUSH, i], w[PUSH + 1, i])
         upper = _sine_and_cosine(w[UPPER, i] + z[0])
         lower = _sine_and_cosine(w[LOWER, i] + z[0] + z[1])
-        first = _slope(w, i, z, upper, lower, 0)
+        first = _slope(w, i, z, upper, lower, torque, push)
+        torque, push = (w[TORQUE + 2, i], w[TORQUE + 3, i]), (w[PUSH + 2, i], w[PUSH + 3, i])
         d_u, d_l = half * z[4], half * (z[4] + z[5])
         there = _moved(z, first, half)
         turned = _turned(upper[0], upper[1], d_u), _turned(lower[0], lower[1], d_l)
-        second = _slope(w, i, there, turned[0], turned[1], 2)
+        second = _slope(w, i, there, turned[0], turned[1], torque, push)
         d_u, d_l = half * there[4], half * (there[4] + there[5])
         there = _moved(z, second, half)
         turned = _turned(upper[0], upper[1], d_u), _turned(lower[0], lower[1], d_l)
-        third = _slope(w, i, there, turned[0], turned[1], 2)
+        third = _slope(w, i, there, turned[0], turned[1], torque, push)
+        torque, push = (w[TORQUE + 4, i], w[TORQUE + 5, i]), (w[PUSH + 4, i], w[PUSH + 5, i])
         d_u, d_l = timestep * there[4], timestep * (there[4] + there[5])
         there = _moved(z, third, timestep)
         turned = _turned(upper[0], upper[1], d_u), _turned(lower[0], lower[1], d_l)
-        fourth = _slope(w, i, there, turned[0], turned[1], 4)
+        fourth = _slope(w, i, there, turned[0], turned[1], torque, push)
         z = _moved(z, first, timestep / 6.0)
         z = _moved(z, second, timestep / 3.0)
         z = _moved(z, third, timestep / 3.0)
@@ -197,20 +201,20 @@ def _advance(w: Array, timestep: float) -> None:
         w[W_S, i], w[W_E, i], w[V_X, i], w[V_Y, i] = finite * z[4], finite * z[5], finite * z[6], finite * z[7]
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _is_grouped(p: Lane) -> bool:
     """Whether a lane's reflexes are computed in its group: not with what the rest of `act` does for it alone."""
     return p.reflexive != 0.0 and p.remembering == 0.0 and p.lawful == 0.0 and p.commanded == 0.0
 
 
-@njit(cache=True, inline="always", error_model="numpy")
-def _load(lanes: Table, start: Start, first: int, timestep: float, w: Array) -> int:
+@njit(cache=True, error_model="numpy")
+def _load(lanes: Table, start: Start, first: int, timestep: float, w: Array) -> tuple[int, int]:
     """Put a group's states and constants where `_advance` wants them; the last group is filled with its last lane.
 
     Returns:
-      How many lanes have reflexes that the group computes.
+      How many lanes have reflexes, and how many a muscle law, that the group computes.
     """
-    n_reflexive = 0
+    n_reflexive, n_lawful = 0, 0
     for i in range(GROUP):
         lane = min(first + i, len(lanes) - 1)
         p = lanes[lane]
@@ -227,9 +231,12 @@ def _load(lanes: Table, start: Start, first: int, timestep: float, w: Array) -> 
         # The shoulder's column of the Jacobian has (-y, x) of the hand: so the grip is at rest at the start.
         w[HAND_X, i] = p.l_h * math.cos(p.posture[0]) + p.l_f * math.cos(lower)
         w[HAND_Y, i] = p.l_h * math.sin(p.posture[0]) + p.l_f * math.sin(lower)
-        w[: V_Y + 1, i] = start.state[lane]
-        w[V_BEFORE:, i] = 0.0
+        for row in range(V_Y + 1):
+            w[row, i] = start.state[lane, row]
+        for row in range(V_BEFORE, len(w)):
+            w[row, i] = 0.0
         if p.grouped != 0.0:
+            n_lawful += 1
             m = start.memory[lane]
             w[V_BEFORE, i], w[V_BEFORE + 1, i] = m.velocity[0, 0], m.velocity[0, 1]
             for j in range(3):
@@ -241,7 +248,8 @@ def _load(lanes: Table, start: Start, first: int, timestep: float, w: Array) -> 
                 for part in range(min(PARTS, p.limit.shape[1])):
                     w[e + BOND + part, i], w[e + LIMIT + part, i] = m.bond[j, part], p.limit[j, part]
                     w[e + LIMIT_SLOPE + part, i] = p.limit_slope[j, part]
-        w[SATURATION : SATURATION + 3, i] = 1.0
+        for j in range(3):
+            w[SATURATION + j, i] = 1.0
         if _is_grouped(p):
             n_reflexive += 1
             m = start.memory[lane]
@@ -267,14 +275,15 @@ def _load(lanes: Table, start: Start, first: int, timestep: float, w: Array) -> 
                     w[STEPS + 2 * half + joint, i], w[SHARE + 2 * half + joint, i] = whole, share
                 for step in range(len(m.sent)):
                     w[RING + 2 * step + joint, i] = m.sent[(m.next + step) % len(m.sent), joint]
-    return n_reflexive
+    return n_reflexive, n_lawful
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _store(lanes: Table, start: Start, first: int, steps: int, w: Array) -> None:
     """Put where a group ends after so many steps into the start of what may follow."""
     for i in range(min(GROUP, len(lanes) - first)):
-        start.state[first + i] = w[: V_Y + 1, i]
+        for row in range(V_Y + 1):
+            start.state[first + i, row] = w[row, i]
         if lanes[first + i].grouped != 0.0:
             m = start.memory[first + i]
             m.velocity[0, 0], m.velocity[0, 1] = w[V_BEFORE, i], w[V_BEFORE + 1, i]
@@ -293,11 +302,15 @@ def _store(lanes: Table, start: Start, first: int, steps: int, w: Array) -> None
                     m.sent[step, joint] = w[RING + 2 * ((steps + step) % len(m.sent)) + joint, i]
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
+def _acts_alone(p: Lane) -> bool:
+    """Whether a lane has anything that its group does not compute."""
+    return (p.reflexive != 0.0 or p.lawful != 0.0 or p.commanded != 0.0) and not _is_grouped(p)
+
+
+@njit(cache=True, error_model="numpy")
 def _act(p: Lane, m: Memory, w: Array, i: int, timestep: float, room: Array) -> None:
     """Put what a group does not compute of muscles and reflexes into a lane; `room` is (8, 3) for what is between."""
-    if _is_grouped(p) or (p.reflexive == 0.0 and p.lawful == 0.0 and p.commanded == 0.0):
-        return
     angle, velocity, held, sent = room[4], room[5], room[6], room[7]
     for joint in range(2):
         angle[joint], velocity[joint] = p.posture[joint] + w[Q_S + joint, i], w[W_S + joint, i]
@@ -339,9 +352,9 @@ def simulate_lanes(
     w, room = np.zeros((RING + 2 * n_history, GROUP)), np.zeros((8, 3))
     for first in range(0, len(lanes), GROUP):
         n = min(GROUP, len(lanes) - first)
-        n_reflexive = _load(lanes, start, first, timestep, w)
+        n_reflexive, n_lawful = _load(lanes, start, first, timestep, w)
         for i in range(n):
-            displacement[first + i, 0] = start.state[first + i, 2:4]
+            displacement[first + i, 0, 0], displacement[first + i, 0, 1] = w[X, i], w[Y, i]
         steps = (n_samples[first : first + n].max() - 1) * decimation
         for step in range(steps):
             if n_reflexive:
@@ -349,12 +362,14 @@ def simulate_lanes(
             else:
                 w[TORQUE : TORQUE + 6] = 0.0
             for i in range(n):
-                _act(lanes[first + i], start.memory[first + i], w, i, timestep, room)
+                if _acts_alone(lanes[first + i]):
+                    _act(lanes[first + i], start.memory[first + i], w, i, timestep, room)
                 trial = of_lane[first + i]
                 for stage in range(3):
                     for axis in range(2):
                         w[PUSH + 2 * stage + axis, i] = force[trial, 2 * step + stage, axis]
-            add_yielding(w, timestep)
+            if n_lawful:
+                add_yielding(w, timestep)
             _advance(w, timestep)
             if (step + 1) % decimation == 0:
                 sample = (step + 1) // decimation
@@ -364,7 +379,7 @@ def simulate_lanes(
         _store(lanes, start, first, steps, w)
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _write(p: Lane, w: Array, i: int, row: Array) -> None:
     """Velocities, displacement, joint angles and force on the hand of a lane, into a row of a log."""
     for j in range(2):
@@ -394,7 +409,7 @@ def log_lanes(lanes: Table, start: Start, known: Array, timestep: float, log: Ar
     w, room = np.zeros((RING + 2 * n_history, GROUP)), np.zeros((8, 3))
     for first in range(0, len(lanes), GROUP):
         n = min(GROUP, len(lanes) - first)
-        n_reflexive = _load(lanes, start, first, timestep, w)
+        n_reflexive, n_lawful = _load(lanes, start, first, timestep, w)
         for step in range(log.shape[1]):
             for i in range(n):
                 _write(lanes[first + i], w, i, log[first + i, step])
@@ -405,12 +420,14 @@ def log_lanes(lanes: Table, start: Start, known: Array, timestep: float, log: Ar
             else:
                 w[TORQUE : TORQUE + 6] = 0.0
             for i in range(n):
-                _act(lanes[first + i], start.memory[first + i], w, i, timestep, room)
+                if _acts_alone(lanes[first + i]):
+                    _act(lanes[first + i], start.memory[first + i], w, i, timestep, room)
                 for j in range(2):
                     log[first + i, step, j] = w[EXCITATION + j, i]
                     for stage in range(3):
                         w[TORQUE + 2 * stage + j, i] += known[first + i, 2 * step + stage, j]
                         w[PUSH + 2 * stage + j, i] = known[first + i, 2 * step + stage, 2 + j]
-            add_yielding(w, timestep)
+            if n_lawful:
+                add_yielding(w, timestep)
             _advance(w, timestep)
         _store(lanes, start, first, log.shape[1] - 1, w)

@@ -71,11 +71,12 @@ def lane_columns(
             )
     if len(environments) == 1:
         environments = [*environments] * len(subjects)
+    # What an arm is comes first: rows that begin as those of `control_columns` would pass for them in compiled code.
     columns = {
-        **control_columns(subjects, timestep, n_parts),
         **{name: np.array([getattr(subject, name) for subject in subjects]) for name in ("l_h", "l_f", "k_h", "b_h")},
         "inertia": np.array([subject.segment_inertia for subject in subjects]),
         **{name: np.array([getattr(held, name) for held in environments]) for name in ("m_env", "b_env", "k_env")},
+        **control_columns(subjects, timestep, n_parts),
     }
     # Force feedback needs the torque of the law at once.
     grouped = (columns["parts"] <= PARTS) & (columns["remembering"] == 0.0)

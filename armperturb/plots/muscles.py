@@ -95,7 +95,7 @@ def plot_envelopes(envelopes: EnvelopesLike, figure: Figure | None, trial: int, 
         ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=6.5)
     axes[-1].set_xlabel("time [s]")
     labels = envelopes.labels.iloc[trial]
-    title = f"{labels['subject']}, {labels['condition']}, trial {trial}: amplitude in {envelopes.unit}"
+    title = f"{labels['subject']}, {labels['condition']}, trial {labels.name}: amplitude in {envelopes.unit}"
     figure.suptitle(title, fontsize=9, parse_math=False)
     return axes
 

@@ -22,21 +22,16 @@ N_PARAMETERS = len(PARAMETERS)
 
 
 @jit(cache=True, error_model="numpy")
-def put_response(
-    s: complex, values: Array, jacobian: Array, inertias: Array, is_exact: bool, parts: ComplexArray
-) -> None:
-    """Put the endpoint admittance at s into `parts`, and what its slopes are made of.
+def put_reflexes(s: complex, values: Array, is_exact: bool, parts: ComplexArray) -> None:
+    """Put what belongs to the reflexes of a joint at s into `parts`: delay and activation, and slopes of these.
 
     Args:
       s: [1/s].
       values: of the arm, in the order of `PARAMETERS`.
-      jacobian: from joint angles to hand position [m/rad], (axis, joint).
-      inertias: joint inertia per mass of either segment [m^2], (segment, joint, joint).
       is_exact: whether delays are exact, or third-order Pade approximations.
       parts: (N_PARTS,).
     """
-    s2 = s * s
-    zeta = values[29]
+    s2, zeta = s * s, values[29]
     for joint in range(2):
         delay, omega = values[20 + joint], 2 * math.pi * values[22 + joint]
         u = s * delay
@@ -53,6 +48,20 @@ def put_response(
         parts[DELAY_SLOPE + joint] = delay_slope * active
         parts[CUTOFF_SLOPE + joint] = delayed * (4 * math.pi * (omega - active * (zeta * s + omega)) * over)
         parts[DAMPING_SLOPE + joint] = delayed * (-2.0 * s * omega * active * over)
+
+
+@jit(cache=True, error_model="numpy")
+def put_response(s: complex, values: Array, jacobian: Array, inertias: Array, parts: ComplexArray) -> None:
+    """Put the endpoint admittance at s into `parts`, and what its slopes are made of.
+
+    Args:
+      s: [1/s].
+      values: of the arm, in the order of `PARAMETERS`.
+      jacobian: from joint angles to hand position [m/rad], (axis, joint).
+      inertias: joint inertia per mass of either segment [m^2], (segment, joint, joint).
+      parts: (N_PARTS,), with what `put_reflexes` has put at s.
+    """
+    s2 = s * s
     r_s, r_e = parts[REFLEX_FILTER], parts[REFLEX_FILTER + 1]
 
     # (1 - R Kf)^-1

@@ -29,13 +29,13 @@ NEAR = 1e-7
 """A root this close to where halving has left the rightmost pole is that pole, relative to the range searched."""
 
 
-@jit(cache=True)
+@jit(cache=True, error_model="numpy")
 def _add(a: Array, factor: float, out: Array) -> None:
     for i in range(a.size):
         out[i] += factor * a[i]
 
 
-@jit(cache=True)
+@jit(cache=True, error_model="numpy")
 def _add_product(a: Array, b: Array, factor: float, out: Array) -> None:
     for i in range(a.size):
         scaled = factor * a[i]
@@ -43,7 +43,7 @@ def _add_product(a: Array, b: Array, factor: float, out: Array) -> None:
             out[i + j] += scaled * b[j]
 
 
-@jit(cache=True)
+@jit(cache=True, error_model="numpy")
 def characteristic_polynomial(values: Array, jacobian: Array, inertias: Array, held: Array, shift: float) -> Array:
     """Coefficients of the polynomial whose roots are (pole - shift) / UNIT, constant first, (19,).
 
@@ -65,11 +65,12 @@ def characteristic_polynomial(values: Array, jacobian: Array, inertias: Array, h
         late, filtered = np.zeros(4), np.zeros(3)
         late[0] = 120.0
         _add(s2, 12 * delay**2, late)
-        n[joint] = late
+        _add(late, 1.0, n[joint])
         for sign, of in ((1.0, late), (-1.0, n[joint])):
             _add(s, sign * 60 * delay, of)
             _add(s3, sign * delay**3, of)
-        n[joint] *= omega**2
+        for i in range(4):
+            n[joint, i] *= omega**2
         filtered[0] = omega**2
         _add(s, 2 * values[29] * omega, filtered)
         _add(s2, 1.0, filtered)
@@ -77,7 +78,7 @@ def characteristic_polynomial(values: Array, jacobian: Array, inertias: Array, h
 
     v = np.zeros((2, 2, 6))
     for row in range(2):
-        v[row, row] = d[row]
+        _add(d[row], 1.0, v[row, row])
         for column in range(2):
             _add(n[row], -values[17 + row + column], v[row, column])
 
@@ -87,7 +88,7 @@ def characteristic_polynomial(values: Array, jacobian: Array, inertias: Array, h
     _add(s, RIGID_GRIP[0] if is_rigid else values[24], grip)
     _add(s, held[1], environment)
     _add(s2, held[0], environment)
-    both += environment
+    _add(environment, 1.0, both)
     _add(grip, 1.0, both)
     _add_product(grip, environment, 1.0, between)
 
@@ -116,7 +117,7 @@ def characteristic_polynomial(values: Array, jacobian: Array, inertias: Array, h
     return polynomial
 
 
-@jit(cache=True)
+@jit(cache=True, error_model="numpy")
 def _shifted(polynomial: Array, shift: float) -> Array:
     """The same polynomial about a point so far to the right [1/s]."""
     coefficients, share = polynomial.copy(), shift / UNIT
@@ -126,7 +127,7 @@ def _shifted(polynomial: Array, shift: float) -> Array:
     return coefficients
 
 
-@jit(cache=True)
+@jit(cache=True, error_model="numpy")
 def all_roots_left(polynomial: Array) -> tuple[bool, float]:
     """Whether all roots have negative real parts, by Routh's scheme.
 
@@ -141,9 +142,8 @@ def all_roots_left(polynomial: Array) -> tuple[bool, float]:
         degree -= 1
     length = polynomial.size // 2 + 1
     upper, lower = np.zeros(length + 1), np.zeros(length + 1)
-    upper[: degree // 2 + 1] = polynomial[degree::-2]
-    if degree > 0:
-        lower[: (degree + 1) // 2] = polynomial[degree - 1 :: -2]
+    for i in range(degree + 1):
+        (lower if i % 2 else upper)[i // 2] = polynomial[degree - i]
     frequency = 0.0
     for step in range(degree):
         # Signs of the first column are those of the highest coefficient; rows may be scaled by any positive number.
@@ -159,7 +159,7 @@ def all_roots_left(polynomial: Array) -> tuple[bool, float]:
     return True, frequency
 
 
-@jit(cache=True)
+@jit(cache=True, error_model="numpy")
 def _root_near(polynomial: Array, start: complex) -> complex:
     """Newton's iteration from a start."""
     root = start
@@ -174,7 +174,7 @@ def _root_near(polynomial: Array, start: complex) -> complex:
     return root
 
 
-@jit(cache=True)
+@jit(cache=True, error_model="numpy")
 def rightmost_pole(
     values: Array, jacobian: Array, inertias: Array, held: Array, lowest: float, highest: float
 ) -> complex:

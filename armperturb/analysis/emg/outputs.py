@@ -7,6 +7,7 @@ import numpy as np
 from armperturb.analysis.arm.geometry import hand_jacobian
 from armperturb.analysis.emg.envelope import Envelopes
 from armperturb.analysis.emg.reflex import rotation
+from armperturb.analysis.response.record_window import RecordWindow
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
 
@@ -16,7 +17,7 @@ GROUPS = ("s", "e", "se")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReflexOutputs:
-    """Trials of one condition up to the first pulse.
+    """Trials of one condition up to the first pulse, sampled like the records of a fit (`RecordWindow`).
 
     Attributes:
       groups: those of `GROUPS` of which there is EMG.
@@ -27,6 +28,7 @@ class ReflexOutputs:
         (trial, time, joint); None where joint angles were recorded.
       rate: of both [Hz].
       averaging: time over which the amplitude is averaged [s].
+      from_rest: whether the trials start at rest.
     """
 
     groups: tuple[str, ...]
@@ -35,6 +37,7 @@ class ReflexOutputs:
     grip_load: Array | None
     rate: float
     averaging: float
+    from_rest: bool = True
 
 
 def reflex_outputs(trials: ConditionTrials, envelopes: Envelopes) -> ReflexOutputs:
@@ -53,8 +56,8 @@ def reflex_outputs(trials: ConditionTrials, envelopes: Envelopes) -> ReflexOutpu
             f"EMG is not used: it has {len(rows)} trials of {trials.label}, the other signals {trials.n_trials}; "
             "expected the same trials"
         )
-    end = trials.first_onset
-    amplitude = np.nan_to_num(envelopes.amplitude[rows, :end])
+    window = RecordWindow.of(trials)
+    amplitude = np.nan_to_num(envelopes.amplitude[rows])
     groups, differences = [], []
     for joints in GROUPS:
         sides = [
@@ -74,13 +77,16 @@ def reflex_outputs(trials: ConditionTrials, envelopes: Envelopes) -> ReflexOutpu
             "EMG is not used: of no muscle is it known what it does; expected joints and sign (signals.emg.muscles of "
             "the sidecar)"
         )
+    difference, turned = np.stack(differences, axis=2), rotation(trials)
     has_angles = "joint_angle" in trials.recording.data_vars
-    load = None if has_angles else trials.force[:, :end] @ np.linalg.inv(hand_jacobian(trials.body)).T
+    load = None if has_angles else window(trials.force @ np.linalg.inv(hand_jacobian(trials.body)).T)
     return ReflexOutputs(
         groups=tuple(groups),
-        difference=np.stack(differences, axis=2),
-        rotation=rotation(trials)[:, :end],
+        # What is thinned has to begin at zero.
+        difference=window(difference - difference.mean(axis=1, keepdims=True)),
+        rotation=window(turned - turned[:, :1]),
         grip_load=load,
-        rate=envelopes.rate,
+        rate=envelopes.rate / window.factor,
         averaging=envelopes.averaging,
+        from_rest=trials.from_rest,
     )

@@ -7,13 +7,15 @@ group of muscles (shoulder, elbow, both) the difference between the amplitudes o
 
 with an unknown gain g_j [1/(Nm)] for each joint that a group crosses, in each condition unless it is shared, and an
 electromechanical delay T_em by which the muscles answer later than their EMG, beyond the activation dynamics. What
-rectification adds to each amplitude is the same in both, and falls out of the difference. The noise w is that of
-EMG, of an unknown smooth spectrum; it moves no arm, so that
+rectification adds to each amplitude is the same in both, and falls out of the difference. The noise is
 
-    p(x, y | d) = p(x | d) p(y | q),
+    w = C A^-1 v + e,
 
-and the logarithms of both likelihoods add (`TrialsWithEmg`). Rotations are those of the recorded joint angles, or
-follow from the handle's displacement x and its force f on the hand: q = J^-1 (x - f / (b_h s + k_h)).
+where v is the torque of the joints that moves the arm beside the disturbance d, and A the activation: that noise comes
+from the muscles and may show in their EMG. C is an unknown smooth response, zero if it does not. What is left, e, is
+noise of EMG, of an unknown smooth spectrum, which moves no arm. So p(x, y | d) = p(x | d) p(y | x, d), and the
+logarithms of both likelihoods add (`trials_with_emg`). Rotations are those of the recorded joint angles, or follow from
+the handle's displacement x and its force f on the hand: q = J^-1 (x - f / (b_h s + k_h)).
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -21,22 +23,31 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
-from armperturb.analysis.arm.parameters import DELAYS, GRIP_DAMPING, GRIP_STIFFNESS, MATRIX, PARAMETERS
+from armperturb.analysis.arm.parameters import (
+    ACTIVE_DAMPING,
+    CUTOFFS,
+    DELAYS,
+    GRIP_DAMPING,
+    GRIP_STIFFNESS,
+    MATRIX,
+    PARAMETERS,
+)
 from armperturb.analysis.emg.outputs import ReflexOutputs
-from armperturb.analysis.fit.likelihood import Likelihood
+from armperturb.analysis.fit.frequency_bands import Smoother
+from armperturb.analysis.fit.frequency_rows import applied, applied_rows, complex_values
+from armperturb.analysis.fit.likelihood import judged_part
 from armperturb.analysis.fit.trial_effects import FEWEST_TRIALS
-from armperturb.analysis.fit.whittle import ALL, LackOfFit, Normal, Whittle
+from armperturb.analysis.fit.whittle import ALL, Whittle
 from armperturb.arrays import Array, ComplexArray
 from armperturb.validation import require_number
 
 BAND = (0.3, 20.0)
 """Frequencies of the EMG that count [Hz]."""
 
-TAPER = 2.0
-"""Length over which records fade in and out before they are transformed [s]."""
+SHARED = 400
+"""Trials times frequencies over which C is averaged at least: what chance makes of so many is below 1 %."""
 
 LARGEST_GAIN = 10.0
 """Upper bound of gains [1/(Nm)]: a torque of 0.1 Nm would activate a muscle as the reference does."""
@@ -87,16 +98,13 @@ class EmgLikelihood(Whittle):
     """
 
     def __init__(self, outputs: ReflexOutputs, delay: ElectromechanicalDelay) -> None:
-        rate, n = outputs.rate, outputs.difference.shape[1]
-        n_taper = min(round(TAPER * rate), n // 2)
-        fade = 0.5 - 0.5 * np.cos(np.pi * (np.arange(n_taper) + 0.5) / n_taper)
-        taper = np.ones(n)
-        taper[:n_taper], taper[n - n_taper :] = fade, fade[::-1]
-        frequency = fft.rfftfreq(n, 1.0 / rate)
+        rate = outputs.rate
+        judged, taper = judged_part(outputs.difference.shape[1], rate, from_rest=outputs.from_rest)
+        frequency = fft.rfftfreq(len(taper), 1.0 / rate)
         used = slice(int(np.searchsorted(frequency, BAND[0])), int(np.searchsorted(frequency, BAND[1])))
 
         def spectrum(values: Array) -> ComplexArray:
-            part = (values - values.mean(axis=1, keepdims=True)) * taper[:, None]
+            part = (values - values.mean(axis=1, keepdims=True))[:, judged] * taper[:, None]
             return np.asarray(fft.rfft(part, axis=1)[:, used].swapaxes(1, 2))
 
         frequency = frequency[used]
@@ -121,6 +129,45 @@ class EmgLikelihood(Whittle):
             least=tiny,
             taper=taper,
         )
+        self._wide = Smoother(len(frequency), self.n_trials, least=SHARED)
+        self._share = np.zeros((self._n_outputs, 2, len(frequency)), dtype=complex)
+        self._shown = np.zeros_like(observed)
+
+    def weigh(self, values: Array) -> None:
+        """As `Whittle.weigh`, where no noise that moves the arm shows."""
+        self._shown = np.zeros_like(self._observed)
+        super().weigh(values)
+
+    def weigh_beside(self, values: Array, moved: ComplexArray, torque: ComplexArray) -> None:
+        """As `weigh`, where noise that moves the arm may show.
+
+        Args:
+          values: of the model.
+          moved: what is left of the movement, white, (trial, axis, frequency), zero where it is not judged.
+          torque: of the joints that would leave it, (joint, axis, frequency).
+        """
+        excites = torque / self._activation(values if values.ndim == 1 else values.mean(axis=0))[:, None]
+        left, drive = self._residual(values), applied(excites, moved)
+        shared, power = (np.einsum("taf,tbf->fab", each, drive.conj()) / len(moved) for each in (left, drive))
+        shared, power = (self._wide(each.reshape(len(each), -1)).reshape(each.shape) for each in (shared, power))
+        # Far from where movement is judged, nothing is known.
+        power[~(np.trace(power, axis1=1, axis2=2).real > 0.0)] = np.eye(2)
+        self._share = np.einsum("fij,jaf->iaf", shared @ np.linalg.inv(power), excites)
+        self._shown = applied(self._share, moved)
+        super().weigh(values)
+
+    def _without_unknowns(self, values: Array) -> tuple[ComplexArray, Array | None]:
+        return self._residual(values) - self._shown, None
+
+    def of_movement(self, moved: ComplexArray) -> Array:
+        """What white movement (..., axis, frequency) makes of the white residual, (..., number)."""
+        return applied_rows(self._white, applied(self._share, moved))
+
+    def to_movement(self, rows: Array) -> ComplexArray:
+        """The transpose of `of_movement`, of inner products of which the real part counts."""
+        white = complex_values(rows, (*rows.shape[:-1], self._n_outputs, len(self._frequency)))
+        share, whitener = (each.conj().swapaxes(0, 1) for each in (self._share, self._white))
+        return applied(share, applied(whitener, white))
 
     @property
     def rows(self) -> list[int]:
@@ -162,6 +209,11 @@ class EmgLikelihood(Whittle):
         """Delay from rotation to EMG, (joint, frequency)."""
         late = values[DELAYS] - self._delay_of(values)
         return np.asarray(np.exp(-self._s * late[:, None]))
+
+    def _activation(self, values: Array) -> ComplexArray:
+        """Of the muscles of each joint, from EMG to torque, (joint, frequency)."""
+        omega = 2.0 * np.pi * values[CUTOFFS][:, None]
+        return np.asarray(omega**2 / (self._s**2 + 2.0 * values[ACTIVE_DAMPING] * omega * self._s + omega**2))
 
     def _feedback(self, values: Array) -> ComplexArray:
         """From rotation to what reflexes see, (joint, joint, frequency)."""
@@ -233,70 +285,3 @@ class EmgLikelihood(Whittle):
         if self._delay.sd > 0.0:
             add(N_ARM + len(self._gains), lambda: self._mixed(self._s * seen, gains))
         yield ALL, derivatives
-
-
-class TrialsWithEmg:
-    """Likelihood of movement and EMG of the same trials together; reads as a `Likelihood`.
-
-    Args:
-      movement: of the trials.
-      emg: of the same.
-    """
-
-    def __init__(self, movement: Likelihood, emg: EmgLikelihood) -> None:
-        if movement.n_trials != emg.n_trials:
-            raise ValueError(f"EMG of {emg.n_trials} trials; expected that of {movement.n_trials}")
-        self.movement, self.emg = movement, emg
-
-    @property
-    def n_trials(self) -> int:
-        """How many trials."""
-        return self.movement.n_trials
-
-    @property
-    def is_long(self) -> bool:
-        """Whether derivatives that are not quick take long."""
-        return self.movement.is_long
-
-    def weigh(self, values: Array) -> None:
-        """As `Whittle.weigh`; values are as `EmgLikelihood` has them, also below."""
-        self.movement.weigh(values[..., :N_ARM])
-        self.emg.weigh(values)
-
-    def cost(self, values: Array) -> float:
-        """As `Whittle.cost`."""
-        return self.movement.cost(values[..., :N_ARM]) + self.emg.cost(values)
-
-    def objective(self, values: Array) -> float:
-        """As `Whittle.objective`."""
-        return self.movement.objective(values[..., :N_ARM]) + self.emg.objective(values)
-
-    def normal(self, values: Array, mixing: Array, *, quick: bool = False) -> Normal:
-        """As `Whittle.normal`."""
-        n_trials, n = self.n_trials, mixing.shape[1]
-        cost, slopes, informations = 0.0, np.zeros((n_trials, n)), np.zeros((n_trials, n, n))
-        for each, of_its, acts in self._parts(values, mixing):
-            normal = each.normal(of_its, mixing[: of_its.shape[-1], acts], quick=quick)
-            cost += normal.cost
-            slopes[:, acts] += normal.slopes
-            informations[:, acts[:, None], acts] += normal.informations
-        return Normal(cost, slopes, informations)
-
-    def informations(self, values: Array, mixing: Array) -> tuple[Array, Array]:
-        """As `Whittle.informations`."""
-        known, left = np.zeros((2, mixing.shape[1], mixing.shape[1]))
-        for each, of_its, acts in self._parts(values, mixing):
-            of_all, of_noise = each.informations(of_its, mixing[: of_its.shape[-1], acts])
-            known[acts[:, None], acts] += of_all
-            left[acts[:, None], acts] += of_noise
-        return known, left
-
-    def _parts(self, values: Array, mixing: Array) -> Iterator[tuple[Whittle, Array, NDArray[np.int_]]]:
-        """Movement and EMG, the values that each depends on, and the free parameters: of most, derivatives are zero."""
-        yield self.movement, values[..., :N_ARM], np.flatnonzero(mixing[:N_ARM].any(axis=0))
-        yield self.emg, values, np.flatnonzero(mixing[self.emg.rows].any(axis=0))
-
-    def lack_of_fit(self, values: Array) -> LackOfFit:
-        """As `Whittle.lack_of_fit`."""
-        moved, active = self.movement.lack_of_fit(values[..., :N_ARM]), self.emg.lack_of_fit(values)
-        return LackOfFit(moved.chi2 + active.chi2, moved.dof + active.dof)

@@ -7,7 +7,6 @@ from typing import Literal, Self
 
 import numpy as np
 import xarray as xr
-from scipy import fft
 
 from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.fit.admittance_problem import Target, checked_problem, least_squares
@@ -20,16 +19,13 @@ from armperturb.analysis.force_balance import EDGE
 from armperturb.analysis.measures.start_geometry import applied_perturbation
 from armperturb.analysis.per_trials import per_trials
 from armperturb.analysis.response.condition_spectra import condition_spectra, periodic_lines
-from armperturb.analysis.response.joint_records import FILTER_REACH, MODEL_RATE, thinned
+from armperturb.analysis.response.record_window import RecordWindow, quick_length
 from armperturb.analysis.response.spectra import SpectralEstimate
 from armperturb.analysis.trials import ConditionTrials, SeveralTrials, prepared_recordings, trials_by_condition
 from armperturb.arrays import Array
 from armperturb.environment import Environment
 from armperturb.recording import join_recordings
 from armperturb.subject import Subject
-
-LONG_RECORD = 2**18
-"""Samples beyond which a record is cut, by a thousandth at most, to a length of which spectra are computed quickly."""
 
 SEGMENT = 120.0
 """Length of the segments of long records that structures are compared on [s]; their ends cost 3 % of the samples."""
@@ -257,7 +253,7 @@ def record_likelihood(trials: ConditionTrials, top: float, n_segments: int = 1) 
     top = min(top, 0.45 * signals.rate)
     if n_segments == 1:
         return RecordLikelihood(signals, top, from_rest=trials.from_rest)
-    n_each = _quick_length(signals.perturbation.shape[1] // n_segments)
+    n_each = quick_length(signals.perturbation.shape[1] // n_segments)
     cut = {
         name: getattr(signals, name)[:, : n_segments * n_each].reshape(-1, n_each, 2)
         for name in ("perturbation", "applied", "displacement")
@@ -271,23 +267,14 @@ def _n_segments(trials: ConditionTrials, top: float) -> int:
     return max(1, int(duration / SEGMENT)) if duration * top > LONGEST_RUN else 1
 
 
-def _quick_length(n_samples: int) -> int:
-    """Number of samples, hardly smaller, of which spectra are computed quickly."""
-    return next(n for n in range(n_samples, 0, -1) if fft.next_fast_len(n) == n)
-
-
 def _record_signals(trials: ConditionTrials) -> Signals:
     """Whole records up to the first pulse, at no more than about `MODEL_RATE`."""
-    end = min(trials.first_onset, trials.n_samples - round(EDGE * trials.rate))
-    if end > LONG_RECORD:
-        end = _quick_length(end)
-    factor = int(trials.rate // MODEL_RATE)
-    if factor < 2:
-        return _signals(trials, slice(end))
-    rate, first = trials.rate / factor, 0 if trials.from_rest else FILTER_REACH
+    window = RecordWindow.of(trials)
+    if window.factor == 1:
+        return _signals(trials, slice(window.end))
+    rate = trials.rate / window.factor
     d, applied, x = (
-        thinned(values[:, :end], factor, axis=1)[:, first:-FILTER_REACH]
-        for values in (trials.perturbation, applied_perturbation(trials), trials.displacement)
+        window(values) for values in (trials.perturbation, applied_perturbation(trials), trials.displacement)
     )
     return Signals(d, applied, whitened(x, rate), trials.body, trials.environment, rate)
 

@@ -7,11 +7,12 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from armperturb.analysis.arm.linear_arm import LinearArm
-from armperturb.analysis.fit.emg_likelihood import N_ARM, TrialsWithEmg
+from armperturb.analysis.fit.emg_likelihood import N_ARM
 from armperturb.analysis.fit.group import Group, Method
 from armperturb.analysis.fit.likelihood import Likelihood
 from armperturb.analysis.fit.structures import PUBLISHED, unit
 from armperturb.analysis.fit.trial_effects import QUANTITIES, SINGULAR, TrialScore, inverse, scaled
+from armperturb.analysis.fit.trials_with_emg import TrialsWithEmg
 from armperturb.analysis.fit.whittle import LackOfFit, Normal
 from armperturb.analysis.manipulator import manipulator_covariance
 from armperturb.arrays import Array

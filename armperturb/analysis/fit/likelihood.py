@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import fft
 
+from armperturb.analysis.arm.geometry import hand_jacobian
 from armperturb.analysis.fit.frequency_bands import EXCITED_POWER
 from armperturb.analysis.fit.frequency_rows import applied, complex_values
 from armperturb.analysis.fit.total_admittance import TotalAdmittance
@@ -86,6 +87,17 @@ def _pole(rate: float) -> float:
     return float(np.exp(-2 * np.pi * CORNER / rate))
 
 
+def judged_part(n: int, rate: float, *, from_rest: bool) -> tuple[slice, Array]:
+    """What of records of n samples is judged, and the window that it is transformed with, (time,)."""
+    n_taper, start = round(TAPER * rate), 0 if from_rest else round(START_OF_MOVING * rate)
+    fade = 0.5 - 0.5 * np.cos(np.pi * (np.arange(n_taper) + 0.5) / n_taper)
+    taper = np.ones(n - start)
+    taper[-n_taper:] = fade[::-1]
+    if not from_rest:
+        taper[: len(fade[::2])] *= fade[::2]
+    return slice(start, n), taper
+
+
 class Likelihood(Whittle):
     """Likelihood of the displacement in the trials of one condition; subclasses say how an arm answers the disturbance.
 
@@ -119,6 +131,7 @@ class Likelihood(Whittle):
             self._total if len(asked) == len(frequency) else TotalAdmittance(signals.body, asked, signals.environment)
         )
         self._filter = whitening(frequency, signals.rate)
+        self._jacobian = hand_jacobian(signals.body)
         least = float(ROUND_OFF * np.abs(force).max()) ** 2
         super().__init__(
             frequency, force, observed, answering, scale=self._filter, least=least, cause=applied, taper=taper
@@ -140,6 +153,12 @@ class Likelihood(Whittle):
         impedance = np.asarray(environment.m_env * s**2 + environment.b_env * s + environment.k_env, dtype=complex)
         share = np.subtract(self._answer(mean), gauge_gain(impedance, levels) * np.eye(2)[..., None])
         return np.stack([applied(share * s**power, self._observed) for power in (2, 1, 0)])
+
+    def noise_torque(self, values: Array) -> ComplexArray:
+        """Torque of the joints that would leave a white residual, as last weighed, (joint, axis, answer)."""
+        mean = values if values.ndim == 1 else values.mean(axis=0)
+        to_torque = np.tensordot(self._jacobian.T, self._to_smooth(mean)[..., self._answering], axes=1)
+        return np.asarray(np.einsum("jaf,fab->jbf", to_torque, np.linalg.inv(np.moveaxis(self._white, -1, 0))))
 
     def _to_smooth(self, values: Array) -> ComplexArray:
         (a, b), (c, d) = self._total(values) * self._filter
@@ -197,15 +216,9 @@ class RecordLikelihood(Likelihood):
     def __init__(self, signals: Signals, top: float, *, from_rest: bool = True) -> None:
         self._rate = rate = signals.rate
         force = signals.perturbation.swapaxes(1, 2)
-        n_taper = round(TAPER * rate)
-        self._judged = slice(0 if from_rest else round(START_OF_MOVING * rate), force.shape[-1])
+        self._judged, self._taper = judged_part(force.shape[-1], rate, from_rest=from_rest)
         n_samples = force.shape[-1]
         self._n_padded = fft.next_fast_len(n_samples + max(n_samples, round(MEMORY * rate)), real=True)
-        fade = 0.5 - 0.5 * np.cos(np.pi * (np.arange(n_taper) + 0.5) / n_taper)
-        self._taper = np.ones(self._judged.stop - self._judged.start)
-        self._taper[-n_taper:] = fade[::-1]
-        if not from_rest:
-            self._taper[: len(fade[::2])] *= fade[::2]
         frequency = fft.rfftfreq(len(self._taper), 1.0 / rate)
         self._used = slice(1, int(np.searchsorted(frequency, top)))
         observed = self._spectrum(signals.displacement.swapaxes(1, 2))
@@ -267,12 +280,14 @@ class RecordLikelihood(Likelihood):
         for trial, driven in enumerate(self._model.driven_slopes(values, mixing, self._load)):
             yield slice(trial, trial + 1), self._cut(driven)[:, None]
 
-    def _exact_slopes(self, values: Array, mixing: Array, residual: Array) -> Array:
+    def exact_slopes(self, values: Array, mixing: Array, along: Array) -> Array:
+        """As `Whittle.exact_slopes`."""
         # Of <r, W C dP d>, with C for `_cut`, all but dP is the same for all parameters: C^T W^T r takes two transforms
         # of a trial, and the C dP d themselves as many of each parameter.
-        white = complex_values(residual, self._observed.shape)
+        mean = values if values.ndim == 1 else values.mean(axis=0)
+        white = complex_values(self._left(along), self._observed.shape)
         errors = applied(self._white.conj().swapaxes(0, 1), white)
-        return self._model.slopes_along(values, mixing, self._load, map(self._uncut, errors))
+        return self._model.slopes_along(mean, mixing, self._load, map(self._uncut, errors))
 
     def _uncut(self, spectrum: ComplexArray) -> ComplexArray:
         """The transpose of `_cut`, of inner products of which the real part counts, (axis, ...)."""

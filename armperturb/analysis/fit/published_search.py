@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from armperturb.analysis.arm.compiled_arm import N_PARAMETERS, N_PARTS, put_response, put_slopes
+from armperturb.analysis.arm.compiled_arm import N_PARAMETERS, N_PARTS, put_reflexes, put_response, put_slopes
 from armperturb.analysis.arm.joint_matrices import laplace
 from armperturb.analysis.arm.rightmost_pole import rightmost_pole
 from armperturb.analysis.fit.admittance_problem import AdmittanceProblem
@@ -72,7 +72,8 @@ class Problem(NamedTuple):
 @jit(cache=True, error_model="numpy")
 def penalty_and_slope(problem: Problem, values: Array, slope: Array) -> float:
     """Factor of eq. 2.21; its derivative by the arm's parameters is put into `slope`, (parameter,)."""
-    slope[:] = 0.0
+    for parameter in range(N_PARAMETERS):
+        slope[parameter] = 0.0
     jacobian, inertias, held = problem.jacobian, problem.inertias, problem.held
     pole = rightmost_pole(values, jacobian, inertias, held, PENALISED[0], PENALISED[1])
     if pole.real <= PENALISED[0]:
@@ -86,7 +87,8 @@ def penalty_and_slope(problem: Problem, values: Array, slope: Array) -> float:
     fell = 0j
     for side in (-1.0, 1.0, 0.0):
         s = pole + side * step
-        put_response(s, values, jacobian, inertias, False, parts)
+        put_reflexes(s, values, False, parts)
+        put_response(s, values, jacobian, inertias, parts)
         impedance = (held[0] * s + held[1]) * s + held[2]
         fell += side * ((1 + impedance * parts[0]) * (1 + impedance * parts[3]) - impedance**2 * parts[1] * parts[2])
     weight = np.zeros(4, dtype=np.complex128)
@@ -95,9 +97,11 @@ def penalty_and_slope(problem: Problem, values: Array, slope: Array) -> float:
     weight[1], weight[2] = -factor * impedance * parts[2], -factor * impedance * parts[1]
     slopes = np.zeros((4, N_PARAMETERS))
     put_slopes(pole, inertias, parts, weight, problem.wanted, slopes)
-    for element in range(4):
-        slope += slopes[element]
-    slope *= excess * 10.0 * math.log(10.0)
+    steepness = excess * 10.0 * math.log(10.0)
+    for parameter in range(N_PARAMETERS):
+        for element in range(4):
+            slope[parameter] += slopes[element, parameter]
+        slope[parameter] *= steepness
     return excess + 1.0
 
 
@@ -116,7 +120,8 @@ def evaluate(problem: Problem, x: Array, gradient: Array, hessian: Array) -> flo
     if problem.is_penalised:
         factor = penalty_and_slope(problem, values, by_penalty)
     for k in range(problem.s.size):
-        put_response(problem.s[k], values, problem.jacobian, problem.inertias, problem.is_exact, parts)
+        put_reflexes(problem.s[k], values, problem.is_exact, parts)
+        put_response(problem.s[k], values, problem.jacobian, problem.inertias, parts)
         for element in range(4):
             share = problem.weight[k, element]
             error = share * cmath.log(problem.measured[k, element] / parts[element])
@@ -135,9 +140,10 @@ def evaluate(problem: Problem, x: Array, gradient: Array, hessian: Array) -> flo
     for free in range(n_free):
         for row in range(n_rows):
             by_free[free, row] = (factor * by_free[free, row] + moved[free] * modulus[row]) * problem.scale[free]
-    modulus *= factor
-    gradient[:] = np.dot(by_free, modulus)
-    hessian[:] = np.dot(by_free, by_free.T)
+    for row in range(n_rows):
+        modulus[row] *= factor
+    np.dot(by_free, modulus, gradient)
+    np.dot(by_free, by_free.T, hessian)
     return 0.5 * np.dot(modulus, modulus)
 
 

@@ -62,7 +62,11 @@ class Step(NamedTuple):
 @jit(cache=True, error_model="numpy")
 def first_radius(x: Array, gradient: Array, lower: Array, upper: Array) -> float:
     """Radius of the first step, from where the search starts."""
-    radius = _norm(x / _scale(x, gradient, lower, upper)[0])
+    squared = 0.0
+    scale, _ = _scale(x, gradient, lower, upper)
+    for i in range(x.size):
+        squared += (x[i] / scale[i]) ** 2
+    radius = math.sqrt(squared)
     return radius if radius > 0 and np.isfinite(radius) else 1.0
 
 
@@ -85,14 +89,16 @@ def next_point(
       The point, (parameter,), and what `judge` must know of the step to it.
     """
     scale, sign = _scale(x, gradient, lower, upper)
-    curvature = hessian * scale * scale.reshape((x.size, 1))
+    curvature = np.empty((x.size, x.size))
     for i in range(x.size):
+        for j in range(x.size):
+            curvature[i, j] = hessian[i, j] * scale[j] * scale[i]
         curvature[i, i] += gradient[i] * sign[i]
-    slope = scale * gradient
+    slope = _product(scale, gradient)
     step, damping = _longest(slope, curvature, radius, damping)
     step, predicted = _feasible(step, slope, curvature, scale, radius, x, lower, upper)
-    moved = scale * step
-    point = inside(x + moved, lower, upper, 0.0)
+    moved = _product(scale, step)
+    point = inside(_ahead(x, 1.0, moved), lower, upper, 0.0)
     return point, Step(predicted, _norm(step), _norm(moved), _norm(x), radius, damping)
 
 
@@ -130,12 +136,36 @@ def judge(step: Step, cost: float, new_cost: float, ftol: float, xtol: float) ->
     return radius, step.damping * step.radius / radius, status
 
 
-@jit(cache=True)
+# Loops, as array expressions take many times as long to compile.
+
+
+@jit(cache=True, error_model="numpy")
+def _product(a: Array, b: Array) -> Array:
+    """Of each pair of elements."""
+    product = np.empty(a.size)
+    for i in range(a.size):
+        product[i] = a[i] * b[i]
+    return product
+
+
+@jit(cache=True, error_model="numpy")
+def _ahead(start: Array, way: float, direction: Array) -> Array:
+    """The point start + way * direction."""
+    point = np.empty(start.size)
+    for i in range(start.size):
+        point[i] = start[i] + way * direction[i]
+    return point
+
+
+@jit(cache=True, error_model="numpy")
 def _norm(values: Array) -> float:
-    return math.sqrt(np.sum(values**2))
+    squared = 0.0
+    for value in values:
+        squared += value * value
+    return math.sqrt(squared)
 
 
-@jit(cache=True)
+@jit(cache=True, error_model="numpy")
 def inside(x: Array, lower: Array, upper: Array, margin: float) -> Array:
     """What is on or outside a bound moved inside: by the margin, or to the next number that there is."""
     inside = x.copy()
@@ -155,7 +185,7 @@ def inside(x: Array, lower: Array, upper: Array, margin: float) -> Array:
     return inside
 
 
-@jit(cache=True)
+@jit(cache=True, error_model="numpy")
 def _scale(x: Array, gradient: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
     """Diagonal of D, and the derivative of its square by x."""
     scale, sign = np.ones(x.size), np.zeros(x.size)
@@ -254,7 +284,8 @@ def _longest(slope: Array, curvature: Array, radius: float, damping: float) -> t
     # A model that is flat along some direction may have its minimum within the radius all the same.
     length = _norm(step)
     if length > (1.0 - 10 * RADIUS_ERROR) * radius:
-        step *= radius / length
+        for i in range(n):
+            step[i] *= radius / length
     return step, damping
 
 
@@ -272,21 +303,28 @@ def _feasible(
 
     That is the best of the step cut short at the first bound, its reflection there, and the steepest descent.
     """
-    there = x + scale * step
-    if not ((there < lower) | (there > upper)).any():
+    n, moved = x.size, _product(scale, step)
+    leaves, steepest = False, 0.0
+    for i in range(n):
+        leaves |= x[i] + moved[i] < lower[i] or x[i] + moved[i] > upper[i]
+        steepest = max(steepest, abs(slope[i] * scale[i]))
+    if not leaves:
         return step, -_value(slope, curvature, step)
-    theta = max(STEP_BACK, 1.0 - np.abs(slope * scale).max())
-    to_bound, hit = _way_to_bound(x, scale * step, lower, upper)
-    cut = to_bound * step
-    best = theta * cut
+    theta = max(STEP_BACK, 1.0 - steepest)
+    to_bound, hit = _way_to_bound(x, moved, lower, upper)
+    nowhere = np.zeros(n)
+    cut = _ahead(nowhere, to_bound, step)
+    best = _ahead(nowhere, theta, cut)
     best_value = _value(slope, curvature, best)
 
     # From the bound along the reflection, to the radius or the next bound, but not back to where it began.
-    reflected = np.where(hit, -step, step)
+    reflected, on_bound = np.empty(n), np.empty(n)
+    for i in range(n):
+        reflected[i] = -step[i] if hit[i] else step[i]
+        on_bound[i] = min(max(x[i] + scale[i] * cut[i], lower[i]), upper[i])
     a, b, c = np.dot(reflected, reflected), np.dot(cut, reflected), np.dot(cut, cut) - radius**2
     to_radius = (-b + math.sqrt(max(b * b - a * c, 0.0))) / a
-    on_bound = np.minimum(np.maximum(x + scale * cut, lower), upper)
-    to_next, _ = _way_to_bound(on_bound, scale * reflected, lower, upper)
+    to_next, _ = _way_to_bound(on_bound, _product(scale, reflected), lower, upper)
     farthest = min(to_next, to_radius)
     most = theta * to_next if to_next <= to_radius else to_radius
     if farthest > 0:
@@ -294,16 +332,16 @@ def _feasible(
         if least <= most:
             turned = np.dot(curvature, reflected)
             way = _least_along(np.dot(reflected, turned), np.dot(slope, reflected) + np.dot(cut, turned), least, most)
-            candidate = cut + way * reflected
+            candidate = _ahead(cut, way, reflected)
             value = _value(slope, curvature, candidate)
             if value < best_value:
                 best, best_value = candidate, value
 
-    to_edge, _ = _way_to_bound(x, -scale * slope, lower, upper)
+    to_edge, _ = _way_to_bound(x, _ahead(nowhere, -1.0, _product(scale, slope)), lower, upper)
     to_radius = radius / _norm(slope)
     most = theta * to_edge if to_edge < to_radius else to_radius
     down = _least_along(np.dot(slope, np.dot(curvature, slope)), -np.dot(slope, slope), 0.0, most)
-    candidate = -down * slope
+    candidate = _ahead(nowhere, -down, slope)
     value = _value(slope, curvature, candidate)
     if value < best_value:
         best, best_value = candidate, value
@@ -313,11 +351,12 @@ def _feasible(
 @jit(cache=True, error_model="numpy")
 def _way_to_bound(x: Array, direction: Array, lower: Array, upper: Array) -> tuple[float, Array]:
     """Multiple of a direction that leads to the first bound, and which that is, (parameter,)."""
-    ways = np.full(x.size, np.inf)
+    ways, way = np.empty(x.size), np.inf
     for i in range(x.size):
+        ways[i] = np.inf
         if direction[i] != 0:
             ways[i] = max((lower[i] - x[i]) / direction[i], (upper[i] - x[i]) / direction[i])
-    way = ways.min()
+        way = min(way, ways[i])
     return way, ways == way
 
 

@@ -10,8 +10,8 @@ its spectrum. Co-contraction is read off the intrinsic stiffness, zero at that o
 `position_activation` at that of POSITION; reflex excitation is the spindles' (eq. 2.8) after the neural delay, before
 the activation dynamics, as electrodes pick up what the nerve sends. Each electrode picks up a share of its neighbours
 (`NEIGHBOURS`) as well. In a trial of maximal contraction all muscles are fully active for a while (`CONTRACTED`). With
-fatigue, amplitude grows with the activation that was, while the spectrum stays. What the model leaves out: tremor,
-voluntary activity, and the fall of the spectrum with fatigue.
+fatigue, amplitude grows with the activation that was, while the spectrum stays. Remnant and slow corrections show if
+`effort` says so. What the model leaves out: tremor, and the fall of the spectrum with fatigue.
 """
 
 from dataclasses import dataclass
@@ -47,6 +47,9 @@ STULEN_DE_LUCA = (60.0, 120.0)
 HIGHPASS_ORDER = 2
 """Of the amplifier's Butterworth high-pass: 12 dB per octave."""
 
+FASTEST_EFFORT = 25.0
+"""Frequency above which excitation that makes a torque is cut off [Hz], as muscles hardly follow it."""
+
 CHUNK = 4096
 """Samples that are drawn at a time, as many as caches hold; no effect on the result."""
 
@@ -67,6 +70,8 @@ class Emg:
       position_activation: co-contraction of the preset POSITION, as a share of full activation [-], 0 to 1.
       reflex_torque: reflex excitation that alone would activate a muscle fully [Nm], > 0.
       crosstalk: share of each neighbour's signal that an electrode picks up [-], 0 to 1.
+      effort: share of the torque that people make beside their reflexes (remnant and slow corrections) whose excitation
+        shows [-], 0 to 1.
       fatigue: growth of the amplitude per second of full activation [1/s], >= 0.
       full_scale: largest voltage that the 16-bit converter can tell, of either sign [V], > 0.
 
@@ -82,6 +87,7 @@ class Emg:
     position_activation: float = 0.2
     reflex_torque: float = 50.0
     crosstalk: float = 0.05
+    effort: float = 0.0
     fatigue: float = 0.0
     full_scale: float = 5.0
 
@@ -189,6 +195,30 @@ class Emg:
             driven = np.ascontiguousarray((self.gain * amplitude).T, dtype=np.float32)
             amplify(white, driven, mixing, colour, amplifier, noise, step, work, read[chunk])
         return read
+
+
+def effort_excitation(subject: Subject, torque: Array, rate: float) -> Array:
+    """Excitation like that of the reflexes, undelayed, that makes a torque [Nm], (time, joint).
+
+    It is that torque before the activation dynamics, with the opposite sign, as reflexes oppose what excites them, and
+    as early as reflexes are late.
+
+    Args:
+      subject: whose activation dynamics and delays.
+      torque: on the joints, zero before its start [Nm], (time, joint).
+      rate: of the torque [Hz].
+    """
+    n_padded = 2 * len(torque)
+    frequency = np.fft.rfftfreq(n_padded, 1.0 / rate)
+    s = 2j * np.pi * frequency
+    cut = 1.0 / (1.0 + (frequency / FASTEST_EFFORT) ** 4)
+    excitation = np.empty_like(torque)
+    for column, joint in enumerate("se"):
+        omega = 2.0 * np.pi * getattr(subject, f"fact_{joint}")
+        activation = omega**2 / (s**2 + 2.0 * subject.zeta_act * omega * s + omega**2)
+        early = cut / activation * np.exp(s * getattr(subject, f"Td_{joint}"))
+        excitation[:, column] = -np.fft.irfft(early * np.fft.rfft(torque[:, column], n_padded), n_padded)[: len(torque)]
+    return excitation
 
 
 @lru_cache(maxsize=8)

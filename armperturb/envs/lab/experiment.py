@@ -11,12 +11,21 @@ from numpy.typing import NDArray
 from armperturb.analysis.arm.state_space import require_stable
 from armperturb.arrays import Array
 from armperturb.environment import TIMESTEP, Environment, Strap
-from armperturb.envs.lab.emg import HIGHPASS_ORDER, Emg
+from armperturb.envs.lab.emg import HIGHPASS_ORDER, Emg, effort_excitation
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.linear_trials import simulate_linear_arms
 from armperturb.envs.lab.multibody_trials import simulate_multibody
 from armperturb.envs.lab.setup import Progress, Setup, Truth, in_threads
-from armperturb.envs.lab.trial import EMG, MARKER, MAX_DURATION, Trial, pulse_of, require_integrable, subject_in
+from armperturb.envs.lab.trial import (
+    EMG,
+    MARKER,
+    MAX_DURATION,
+    Trial,
+    noise_torque,
+    pulse_of,
+    require_integrable,
+    subject_in,
+)
 from armperturb.perturbations import Perturbation, check_bandwidth
 from armperturb.recording import MUSCLES, HighPass, make_recording
 from armperturb.subject import Subject
@@ -118,7 +127,7 @@ def recorded(
             "emg_highpass": HighPass(setup.emg.highpass, HIGHPASS_ORDER),
         }
         n_threads = n_threads or os.cpu_count() or 1
-        signals["emg"] = _voltages(setup.emg, trials, subjects, truth.excitation, setup.rate, n_threads)
+        signals["emg"] = _voltages(setup.emg, trials, subjects, setup, truth.excitation, n_threads)
     return make_recording(signals, {**_labels(trials), "limit_time": truth.limit_time}, setup.rate, **clock)
 
 
@@ -154,14 +163,18 @@ def read_instruments(seeds: Sequence[int], instruments: Instruments, truth: Trut
 
 
 def _voltages(
-    emg: Emg, trials: Sequence[Trial], subjects: Sequence[Subject], excitation: Array, rate: float, n_threads: int
+    emg: Emg, trials: Sequence[Trial], subjects: Sequence[Subject], setup: Setup, excitation: Array, n_threads: int
 ) -> NDArray[np.float32]:
     """What the converter reads of the muscles [V], (trial, emg_time, muscle); never all of it twice in memory."""
-
-    volts = np.empty((len(trials), emg.n_samples(excitation.shape[1], rate), len(MUSCLES)), dtype=np.float32)
+    rate, n = setup.rate, excitation.shape[1]
+    volts = np.empty((len(trials), emg.n_samples(n, rate), len(MUSCLES)), dtype=np.float32)
 
     def read(i: int) -> None:
-        emg.read(subjects[i], excitation[i], rate, trials[i].generator(EMG), trials[i].contraction, volts[i])
+        seen, every = excitation[i], round(1.0 / (rate * setup.timestep))
+        torque = noise_torque(trials[i], setup.timestep, n * every) if emg.effort else None
+        if torque is not None:
+            seen = seen + emg.effort * effort_excitation(subjects[i], torque[::every], rate)
+        emg.read(subjects[i], seen, rate, trials[i].generator(EMG), trials[i].contraction, volts[i])
 
     list(in_threads(read, len(trials), n_threads))
     return volts

@@ -128,7 +128,8 @@ def advance(
                 if log.shape[2] > 10:
                     row[10 + i] = qpos[i]
             if step == known.shape[1]:
-                row[:2], row[8:10] = log[lane, step - 1, :2], log[lane, step - 1, 8:10]
+                for i in range(2):
+                    row[i], row[8 + i] = log[lane, step - 1, i], log[lane, step - 1, 8 + i]
                 break
             act(p, m, angle, velocity, timestep, work, held, sent)
             for i in range(2):

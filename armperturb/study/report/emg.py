@@ -10,9 +10,11 @@ import numpy as np
 from armperturb.analysis.emg.activity import relaxation_sentence
 from armperturb.analysis.emg.reflex import DELAYS
 from armperturb.progress import Progress
+from armperturb.recording_files import load_recording
 from armperturb.study.comparison.cocontraction import cocontraction_tests
 from armperturb.study.report.figures import emg as emg_figures
 from armperturb.study.results.cache import ANALYSIS, CachedResult, Unit, kept_or_computed
+from armperturb.study.results.cases import Case
 from armperturb.study.results.emg import PersonEmg, person_emg
 from armperturb.study.results.mean_admittance import main_conditions
 from armperturb.study.results.study_result import StudyResult
@@ -34,21 +36,31 @@ def emg_of(
       pool: workers; None for this process.
       show_progress: whether to draw progress bars on the terminal.
     """
-    units: list[Unit[Any]] = [
-        Unit(
-            cached=CachedResult(
-                path=out / ANALYSIS / f"{path.stem}-emg.json.gz",
-                kind="emg",
-                result=PersonEmg,
-                recordings={path.name: checksums[path.name]},
-            ),
-            run=partial(person_emg, name, path),
+    case = _shown_case(study)
+    units: list[Unit[Any]] = []
+    for name, path in study.recordings.items():
+        shown = case.condition if case is not None and case.name == name else None
+        cached = CachedResult(
+            path=out / ANALYSIS / f"{path.stem}-emg.json.gz",
+            kind="emg",
+            result=PersonEmg,
+            recordings={path.name: checksums[path.name]},
+            settings={"shown": shown.name} if shown else {},
         )
-        for name, path in study.recordings.items()
-    ]
+        units.append(Unit(cached=cached, run=partial(person_emg, name, path, shown)))
+    # Whose figures are shown takes longest, and comes first so that workers end together.
+    units.sort(key=lambda unit: not unit.cached.settings)
     with Progress("EMG", total=len(units), unit="people", show=show_progress) as bar:
-        people = tuple(kept_or_computed(units, pool, bar))
+        of = {person.name: person for person in kept_or_computed(units, pool, bar)}
+    people = tuple(of[name] for name in study.recordings)
     return people if any(person.levels for person in people) else ()
+
+
+def _shown_case(study: StudyResult) -> Case | None:
+    """Whose EMG figures show: the first person with any in the main condition of the position task."""
+    main = main_conditions(study)
+    cases = study.of(main["PT"].name) if "PT" in main else []
+    return next((case for case in cases if "emg_rate" in load_recording(case.recording, ()).attrs), None)
 
 
 def emg_drawings(study: StudyResult, people: Sequence[PersonEmg]) -> "dict[str, partial[Any]]":
@@ -57,12 +69,12 @@ def emg_drawings(study: StudyResult, people: Sequence[PersonEmg]) -> "dict[str, 
     if not there:
         return {}
     drawn = {"emg_cocontraction": partial(emg_figures.cocontraction, there, study.protocol.conditions)}
-    main = main_conditions(study)
-    cases = study.of(main["PT"].name) if "PT" in main else []
-    first = next((case for case in cases if case.name == there[0].name), None)
-    if first is not None:
-        shown = [name for name in emg_figures.SHOWN if name != "emg_pulses" or first.condition.pulse_levels]
-        drawn |= {name: partial(emg_figures.of_person, name, first) for name in shown}
+    shown = next((person.shown for person in there if person.shown is not None), None)
+    if shown is not None:
+        drawn["emg_envelopes"] = partial(emg_figures.envelopes, shown.envelopes)
+        drawn["emg_reflexes"] = partial(emg_figures.reflexes, shown.reflexes)
+        if shown.onsets is not None:
+            drawn["emg_pulses"] = partial(emg_figures.pulses, shown.onsets)
     return drawn
 
 

@@ -45,7 +45,7 @@ VERSIONS = {
     "figure": 1,
     "played": 1,
     "films": 1,
-    "emg": 3,
+    "emg": 4,
 }
 """Kind of result to the version of its algorithm.
 

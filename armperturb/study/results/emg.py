@@ -1,16 +1,20 @@
 """What the EMG of a person tells in a study: activity, co-contraction and reflexes in each condition."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import pandas as pd
 
 from armperturb.analysis.emg.activity import Activity, activity
-from armperturb.analysis.emg.envelope import MAXIMAL, REST, envelopes
-from armperturb.analysis.emg.reflex import reflexes
-from armperturb.analysis.trials import trials_by_condition
+from armperturb.analysis.emg.envelope import MAXIMAL, REST, Envelopes, envelopes
+from armperturb.analysis.emg.onset import Onsets, onsets
+from armperturb.analysis.emg.reflex import Reflexes, reflexes
+from armperturb.analysis.trials import ConditionTrials, trials_by_condition
 from armperturb.recording_files import load_recording
+from armperturb.study.protocol import Condition
 
 
 class Level(NamedTuple):
@@ -66,6 +70,20 @@ class Reflex(NamedTuple):
     p: float
 
 
+class ShownEmg(NamedTuple):
+    """What figures show of a person's EMG in a condition.
+
+    Attributes:
+      envelopes: of its first trial alone.
+      onsets: answers to the pulses of all conditions of its task; None if it has none.
+      reflexes: of its trials.
+    """
+
+    envelopes: Envelopes
+    onsets: Onsets | None
+    reflexes: Reflexes
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PersonEmg:
     """What a person's EMG tells; nothing if there is none.
@@ -78,6 +96,7 @@ class PersonEmg:
       cocontraction: of each joint.
       reflexes: of each muscle, in conditions whose trials are long enough.
       remarks: of the channels, or why there is nothing.
+      shown: what figures show, where that was asked for.
     """
 
     name: str
@@ -87,6 +106,7 @@ class PersonEmg:
     cocontraction: tuple[Cocontraction, ...] = ()
     reflexes: tuple[Reflex, ...] = ()
     remarks: tuple[str, ...] = ()
+    shown: ShownEmg | None = None
 
     @property
     def activity(self) -> Activity:
@@ -101,12 +121,13 @@ class PersonEmg:
         )
 
 
-def person_emg(name: str, path: Path) -> PersonEmg:
+def person_emg(name: str, path: Path, shown: Condition | None = None) -> PersonEmg:
     """Analyse the EMG of a person's recording.
 
     Args:
       name: of the person.
       path: of the recording.
+      shown: condition of which figures are drawn, if the recording has it.
 
     Raises:
       ValueError: the recording is refused.
@@ -118,8 +139,9 @@ def person_emg(name: str, path: Path) -> PersonEmg:
     except ValueError as error:
         return PersonEmg(name=name, remarks=(f"{name}: {error}",))
     of_muscles = activity(amplitudes)
+    by_condition = trials_by_condition(recording, is_checked=True)
     responses = []
-    for label, trials in trials_by_condition(recording, is_checked=True).items():
+    for label, trials in by_condition.items():
         if label in (MAXIMAL, REST):
             continue
         try:
@@ -136,6 +158,26 @@ def person_emg(name: str, path: Path) -> PersonEmg:
         cocontraction=tuple(Cocontraction(*row) for row in _plain(of_muscles.cocontraction)),
         reflexes=tuple(responses),
         remarks=tuple(f"{name}: {line}" for line in amplitudes.remarks),
+        shown=shown_emg(amplitudes, by_condition, shown) if shown and shown.name in by_condition else None,
+    )
+
+
+def shown_emg(amplitudes: Envelopes, trials: Mapping[str, ConditionTrials], condition: Condition) -> ShownEmg:
+    """What figures show of a condition.
+
+    Args:
+      amplitudes: of all the person's trials.
+      trials: condition to these trials.
+      condition: that is shown; one of theirs.
+    """
+    is_first = np.zeros(len(amplitudes.labels), dtype=bool)
+    is_first[int((amplitudes.labels["condition"] == condition.name).to_numpy().argmax())] = True
+    same = [part for part in trials.values() if part.recording["task"].values[0] == condition.task]
+    with_pulses = [part for part in same if (part.onset < part.n_samples).any()]
+    return ShownEmg(
+        envelopes=replace(amplitudes, labels=amplitudes.labels[is_first], power=amplitudes.power[is_first]),
+        onsets=onsets(with_pulses, amplitudes) if condition.pulse_levels else None,
+        reflexes=reflexes(trials[condition.name], amplitudes),
     )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armperturb import POSITION, RELAX, Environment
-from armperturb.analysis.arm.compiled_arm import N_PARAMETERS, N_PARTS, put_response, put_slopes
+from armperturb.analysis.arm.compiled_arm import N_PARAMETERS, N_PARTS, put_reflexes, put_response, put_slopes
 from armperturb.analysis.arm.linear_arm import LinearArm
 from armperturb.analysis.arm.parameters import PARAMETERS, parameter_vector
 from armperturb.analysis.arm.rightmost_pole import rightmost_pole
@@ -32,7 +32,8 @@ def test_response_and_slopes_are_those_of_the_arm_of_arrays(delay, grip):
     parts, slope = np.zeros(N_PARTS, dtype=complex), np.zeros((4, N_PARAMETERS))
     for k, s in enumerate(2j * np.pi * FREQUENCY):
         weight = rng.normal(size=(4, 2)) @ [1, 1j]
-        put_response(s, values, arm.jacobian, arm.inertias, delay == "exact", parts)
+        put_reflexes(s, values, delay == "exact", parts)
+        put_response(s, values, arm.jacobian, arm.inertias, parts)
         put_slopes(s, arm.inertias, parts, weight, np.ones(N_PARAMETERS, dtype=bool), slope)
         np.testing.assert_allclose(parts[:4], admittance[k].ravel(), rtol=1e-11)
         expected = (weight[:, None] * gradient[k].reshape(4, -1)).real

@@ -55,6 +55,7 @@ def outputs(noise=0.02, lag=0.0, of_handle=False):
         grip_load=load,
         rate=RATE,
         averaging=1e-6,
+        from_rest=False,
     )
 
 

@@ -194,7 +194,6 @@ def test_a_long_record_takes_less_memory_to_the_same_result(from_rest, tolerance
     usual[-1] = usual[3]  # of long records the information is that of quick derivatives; slopes are those of all
     monkeypatch.setattr(total_admittance_module, "LONGEST_RUN", 100)
     monkeypatch.setattr(whittle, "LONGEST_RUN", 100)
-    monkeypatch.setattr(whittle, "SHORTER_RUN", 60)
     monkeypatch.setattr(total_admittance_module, "SHORTER_RUN", 60)
     monkeypatch.setattr(frequency_bands, "LARGEST_MATRIX", 1)
     monkeypatch.setattr(likelihood_module, "LONGEST_SIGNALS", 1)

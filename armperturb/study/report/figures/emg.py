@@ -2,19 +2,14 @@
 
 from matplotlib.figure import Figure
 
-from armperturb.analysis.emg.envelope import envelopes
-from armperturb.analysis.emg.onset import onsets
-from armperturb.analysis.emg.reflex import reflexes
-from armperturb.analysis.trials import trials_by_condition
+from armperturb.analysis.emg.envelope import Envelopes
+from armperturb.analysis.emg.onset import Onsets
+from armperturb.analysis.emg.reflex import Reflexes
 from armperturb.plots.style import in_style, new_figure
-from armperturb.recording_files import load_recording
 from armperturb.study.comparison.cocontraction import index_of
 from armperturb.study.protocol import Condition
 from armperturb.study.report.figures.people import draw_people
-from armperturb.study.results.cases import Case
 from armperturb.study.results.emg import PersonEmg
-
-SHOWN = ("emg_envelopes", "emg_pulses", "emg_reflexes")
 
 
 @in_style()
@@ -43,21 +38,22 @@ def cocontraction(people: tuple[PersonEmg, ...], conditions: tuple[Condition, ..
     return figure
 
 
-def of_person(name: str, case: Case) -> Figure:
-    """One of the figures `SHOWN` of a person in the condition of a case.
+def envelopes(of_trial: Envelopes) -> Figure:
+    """Amplitude of every muscle over a trial."""
+    figure = new_figure(4.0)
+    of_trial.plot(figure)
+    return figure
 
-    Args:
-      name: of the figure.
-      case: whose recording is read.
-    """
-    recording = load_recording(case.recording, ["emg", "joint_angle"])
-    amplitudes, trials = envelopes(recording), trials_by_condition(recording, is_checked=True)
-    figure, label = new_figure(4.0), case.condition.name
-    if name == "emg_envelopes":
-        amplitudes.plot(figure, trial=int((amplitudes.labels["condition"] == label).to_numpy().argmax()))
-    elif name == "emg_pulses":
-        same = [part for part in trials.values() if part.recording["task"].values[0] == case.condition.task]
-        onsets([part for part in same if (part.onset < part.n_samples).any()], amplitudes).plot(figure)
-    else:
-        reflexes(trials[label], amplitudes).plot(figure)
+
+def pulses(onsets: Onsets) -> Figure:
+    """Averages of all muscles about pulses, and when they answer."""
+    figure = new_figure(4.0)
+    onsets.plot(figure)
+    return figure
+
+
+def reflexes(of_condition: Reflexes) -> Figure:
+    """Responses of all muscles to rotation."""
+    figure = new_figure(4.0)
+    of_condition.plot(figure)
     return figure

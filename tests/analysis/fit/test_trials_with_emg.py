@@ -1,0 +1,109 @@
+"""Noise of a person that moves the arm and shows in the EMG: derivatives, lack of fit, and what is gained."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from armperturb.analysis.emg.envelope import envelopes
+from armperturb.analysis.emg.outputs import reflex_outputs
+from armperturb.analysis.fit.emg_likelihood import ElectromechanicalDelay, EmgLikelihood
+from armperturb.analysis.fit.group import Group
+from armperturb.analysis.fit.joint_likelihood import JointLikelihood
+from armperturb.analysis.fit.maximum_likelihood import estimate
+from armperturb.analysis.fit.structures import structure_of
+from armperturb.analysis.trials import ConditionTrials
+from armperturb.controllers.remnant import HUMAN_NOISE
+from armperturb.envs.lab.emg import Emg, effort_excitation
+from armperturb.envs.lab.experiment import run_experiment
+from armperturb.envs.lab.instruments import Instruments
+from armperturb.subject import POSITION
+
+REFLEXES = ("kv_s", "kv_se", "kv_e", "kp_s", "kp_se", "kp_e", "Td_s", "Td_e", "fact_s", "fact_e")
+
+
+NOISE = replace(HUMAN_NOISE["PT"], spread_b=0.0, spread_k=0.0, spread_kv=0.0, spread_kp=0.0)
+
+
+def fitted(recording):
+    """Trials without and with EMG."""
+    trials = ConditionTrials.prepare(recording)
+    group = Group.prepare([trials], structure_of("3", wide=True))
+    likelihood = EmgLikelihood(reflex_outputs(trials, envelopes(recording)), ElectromechanicalDelay())
+    return group, group.with_emg(likelihood)
+
+
+def recorded(trials, **options):
+    """Of a linear arm, so that nothing but noise is left of the movement."""
+    instruments = Instruments(marker_noise=None, emg=Emg(effort=1.0))
+    return run_experiment(trials, linear=True, instruments=instruments, n_threads=1, **options)
+
+
+@pytest.fixture(scope="module")
+def groups(studies):
+    return fitted(recorded(studies.perturbed(POSITION, 5.4, 4, noise=NOISE)))
+
+
+@pytest.mark.slow(reason="simulates four trials with EMG")
+def test_slope_is_that_of_the_cost(groups):
+    problem = JointLikelihood([groups[1]], "record", ())
+    values = problem.stabilised(problem.initial({"kp_s": 20.0, "Td_e": 0.04}))
+    problem.weigh(values)
+    slope = problem.normal(values).slope
+    for column, name in enumerate(problem.names):
+        step = 1e-4 * max(abs(values[column]), 1e-3)
+        ends = [problem.cost(values + sign * step * np.eye(len(values))[column]) for sign in (1, -1)]
+        assert -2.0 * slope[column] == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=2e-3, abs=1e-2), name
+
+
+@pytest.mark.slow(reason="simulates four trials with EMG")
+def test_slopes_of_long_records_are_those_of_the_derivatives(groups, monkeypatch):
+    problem = JointLikelihood([groups[1]], "record", ())
+    values = problem.stabilised(problem.initial({"kp_s": 20.0, "Td_e": 0.04}))
+    problem.weigh(values)
+    slope = problem.normal(values).slope
+    monkeypatch.setattr("armperturb.analysis.fit.whittle.LONGEST_RUN", 100)
+    assert problem.is_long
+    np.testing.assert_allclose(problem.normal(values).slope, slope, rtol=0, atol=1e-8 * np.abs(slope).max())
+    problem.quick = True
+    assert np.abs(problem.normal(values).slope - slope).max() > 1e-4 * np.abs(slope).max()
+
+
+@pytest.mark.slow(reason="simulates four trials with EMG")
+def test_noise_that_shows_is_no_lack_of_fit_and_tells_of_the_arm(groups, monkeypatch):
+    fit = estimate([groups[1]])
+    assert fit.p_value > 0.01
+    for name in REFLEXES:
+        assert abs(fit.values[name] - getattr(POSITION, name)) < 3.5 * fit.standard_error[name], name
+    alone = estimate([groups[0]])
+    gained = {name: fit.standard_error[name] / alone.standard_error[name] for name in alone.values}
+    assert all(gained[name] < 0.7 for name in REFLEXES if name.startswith(("kv", "kp")))
+    assert gained["k_s"] < 0.6
+    assert gained["k_se"] < 0.8
+    # Where what shows is taken for noise of the EMG alone, the same trials refute the right structure.
+    monkeypatch.setattr("armperturb.analysis.fit.trials_with_emg.SAME_STEP", -1.0)
+    assert estimate([groups[1]]).p_value < 1e-4
+
+
+@pytest.mark.slow(reason="simulates three trials with EMG")
+def test_faster_samples_are_taken_as_slowly_as_those_of_the_movement(studies):
+    recording = recorded(studies.perturbed(POSITION, 5.4, 3, noise=NOISE), timestep=1e-3, rate=1000.0)
+    assert estimate([fitted(recording)[1]]).p_value > 0.01
+
+
+def test_excitation_is_what_makes_the_torque():
+    """Through delay and activation dynamics, integrated in time, it gives the torque back."""
+    rate, n = 2000.0, 8000
+    time = np.arange(n) / rate
+    torque = np.sin(2 * np.pi * np.multiply.outer(time, [1.5, 0.7])) * np.sin(np.pi * time / time[-1])[:, None] ** 4
+    arm = replace(POSITION, Td_e=0.04)
+    excitation = effort_excitation(arm, torque, rate)
+    for column, joint in enumerate("se"):
+        omega, late = 2 * np.pi * getattr(arm, f"fact_{joint}"), round(getattr(arm, f"Td_{joint}") * rate)
+        drive = -np.concatenate([np.zeros(late), excitation[:-late, column]])
+        state, made = np.zeros(2), np.empty(n)
+        for k in range(n):
+            made[k] = state[0]
+            change = omega**2 * (drive[k] - state[0]) - 2 * arm.zeta_act * omega * state[1]
+            state = state + np.array([state[1] + 0.5 * change / rate, change]) / rate
+        assert np.abs(made - torque[:, column]).max() < 0.02 * np.abs(torque[:, column]).max()
