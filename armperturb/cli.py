@@ -138,8 +138,9 @@ def ended_in_order() -> Iterator[None]:
 
 def _signal_main_thread(number: int) -> None:
     """Send this process a signal so that what its main thread waits for ends."""
-    if hasattr(signal, "pthread_kill"):
-        signal.pthread_kill(threading.main_thread().ident, number)
+    main_thread = threading.main_thread().ident
+    if main_thread is not None and hasattr(signal, "pthread_kill"):
+        signal.pthread_kill(main_thread, number)
     else:
         signal.raise_signal(number)
 
