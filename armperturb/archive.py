@@ -34,6 +34,9 @@ PACKAGE = "armperturb"
 LARGEST = 2**26
 """Largest content of a file, unpacked [byte]: JSON takes some 20 times as much in memory."""
 
+LARGEST_KEY = 2**12
+"""Of the file of the key, what is read [byte]."""
+
 _KIND, _CONTENT = "kind", "content"
 
 _MAKE: Mapping[str, Callable[[Any], Any]] = {
@@ -89,7 +92,10 @@ def _key() -> bytes:
             with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
                 file.write(new)
         except FileExistsError:
-            key = path.read_bytes()
+            if not path.is_file():  # a pipe would never end
+                return new
+            with path.open("rb") as of_user:
+                key = of_user.read(LARGEST_KEY)
             return key if len(key) >= len(new) else new
     except (OSError, RuntimeError):  # there is no home, or none that can be written to
         pass

@@ -19,7 +19,7 @@ from tyro import constructors
 from armperturb.commands.command import Command, field_texts
 from armperturb.envs.render.gl import require_simulator
 from armperturb.extras import naming_the_extra
-from armperturb.files import inputs_untouched
+from armperturb.files import inputs_untouched, remove_unfinished
 
 _NAMES = """
 study report score simulate joint sidecar convert identify response compare validate design calibrate video view live
@@ -31,6 +31,9 @@ COMMANDS = tuple(_NAMES.split())
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """How many threads linear algebra takes, if the user says so; by default one, as more only wait for each other: the
 matrices of this package are small."""
+
+MOMENT = 0.02
+"""Time after which an interruption that could not be raised is repeated [s]."""
 
 REFUSED = (ValueError, TypeError, OSError, RuntimeError, ArithmeticError, MemoryError, ImportError)
 """What an invalid input, or this machine, makes a command raise."""
@@ -85,6 +88,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"armperturb: error: {printable(' '.join(str(error).split()))}", file=sys.stderr)
         return 1
     except KeyboardInterrupt as interrupt:
+        remove_unfinished()
         _remove_empty(new_folder)
         resumes = "; the same command continues from here" if command is not None and command.resumes else ""
         number = interrupt.args[0] if interrupt.args else signal.SIGINT
@@ -103,7 +107,20 @@ def ended_in_order() -> Iterator[None]:
             signal.signal(each, signal.SIG_IGN)  # the end has begun
         raise KeyboardInterrupt(signal.Signals(number))
 
+    def lost(unraisable: Any) -> None:
+        if not isinstance(unraisable.exc_value, KeyboardInterrupt):
+            reported(unraisable)
+            return
+        # It came within a destructor or the like, which cannot raise: it comes again a moment later.
+        for each in before:
+            signal.signal(each, interrupt)
+        number = int(next(iter(unraisable.exc_value.args), signal.SIGINT))
+        again.append(threading.Timer(MOMENT, _signal_main_thread, (number,)))
+        again[-1].start()
+
     before: dict[int, Any] = {}
+    again: list[threading.Timer] = []
+    reported, sys.unraisablehook = sys.unraisablehook, lost
     try:
         if threading.current_thread() is threading.main_thread():
             for name in ("SIGTERM", "SIGHUP"):
@@ -112,8 +129,20 @@ def ended_in_order() -> Iterator[None]:
                     before[number] = signal.signal(number, interrupt)
         yield
     finally:
+        for timer in again:
+            timer.cancel()
+        sys.unraisablehook = reported
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _signal_main_thread(number: int) -> None:
+    """Send this process a signal so that what its main thread waits for ends."""
+    main_thread = threading.main_thread().ident
+    if main_thread is not None and hasattr(signal, "pthread_kill"):
+        signal.pthread_kill(main_thread, number)
+    else:
+        signal.raise_signal(number)
 
 
 def show(lines: Iterable[str]) -> None:
@@ -154,6 +183,9 @@ def printable(text: str) -> str:
 
 
 def _parse(arguments: Sequence[str]) -> Command:
+    if "" in arguments:  # an empty path would be the current folder
+        before = " ".join([*arguments[: arguments.index("")][-1:], "''"])
+        raise ValueError(f"{before}: an empty argument; expected a value (is a variable unset?)")
     kinds = [command_class(name) if name in arguments[:1] else _without_options(name) for name in COMMANDS]
     any_command: Any = Union[tuple(kinds)]  # noqa: UP007
     registry = constructors.ConstructorRegistry()

@@ -5,10 +5,10 @@ import errno
 import hashlib
 import os
 import re
-import tempfile
+import secrets
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import lru_cache
 from importlib import resources
@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
 _INPUTS: ContextVar[set[tuple[int, int]] | None] = ContextVar("inputs", default=None)
 """Device and number of each file that was read, where those must not be written to."""
+
+_UNFINISHED: set[Path] = set()
+"""Temporary files that this process has, or is about to have."""
 
 LARGEST_TOML = 2**16
 """Largest TOML file of a user's [byte]; the memory that a key takes is quadratic in its parts."""
@@ -98,7 +101,7 @@ def require_new(paths: Iterable[Path], *, overwrite: bool) -> None:
         require_folder_of(path)
         require_no_input(path)
         require_no_folder(path)
-        if path.is_file() and not overwrite:
+        if os.path.lexists(path) and not overwrite:  # be it a link to nothing, or a pipe
             raise ValueError(f"{path}: exists already; expected a new name (--overwrite replaces the file)")
 
 
@@ -167,7 +170,7 @@ def written_together(paths: Iterable[Path]) -> Iterator[list[Path]]:
         for path in paths:
             parts[path] = _part(path)
         yield list(parts.values())
-        # mkstemp makes files private; a result is as readable as any other file of the user.
+        # Until then they are private; a result is as readable as any other file of the user.
         mask = os.umask(0)
         os.umask(mask)
         for part in parts.values():
@@ -189,6 +192,14 @@ def written_together(paths: Iterable[Path]) -> Iterator[list[Path]]:
     finally:
         for part in parts.values():
             part.unlink(missing_ok=True)
+            _UNFINISHED.discard(part)
+
+
+def remove_unfinished() -> None:
+    """Remove what an interruption, which may come at any moment, has left of files that were being written."""
+    while _UNFINISHED:
+        with suppress(OSError):
+            _UNFINISHED.pop().unlink(missing_ok=True)
 
 
 @contextmanager
@@ -209,12 +220,13 @@ def _part(path: Path) -> Path:
     require_folder_of(path)
     require_no_input(path)
     require_no_folder(path)
+    part = path.with_name(f".{path.name}.{secrets.token_hex(8)}.part")
+    _UNFINISHED.add(part)  # before it is there
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
+        os.close(os.open(part, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600))
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(path)) from error  # of the same subclass, by its number
-    os.close(handle)
-    return Path(name)
+    return part
 
 
 def checksum(path: str | Path) -> str:

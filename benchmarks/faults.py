@@ -15,7 +15,7 @@ import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
@@ -102,7 +102,9 @@ def numbers(count: int, most: int) -> list[int]:
     return [*range(1, first + 1), *np.linspace(first + 1, count, most - first).round().astype(int).tolist()]
 
 
-def failures(inputs: Path, earlier: list[str], command: list[str], kind: str, most: int) -> Iterator[tuple[int, str]]:
+def failures(
+    inputs: Path, earlier: list[str], command: list[str], kind: str, most: int, removed: Sequence[str] = ()
+) -> Iterator[tuple[int, str]]:
     """Number of each operation that was failed, and what was wrong then, empty if nothing.
 
     Args:
@@ -111,6 +113,7 @@ def failures(inputs: Path, earlier: list[str], command: list[str], kind: str, mo
       command: that fails.
       kind: of `OPERATIONS`.
       most: operations that are failed.
+      removed: patterns of what is removed after the command before.
 
     Raises:
       RuntimeError: the command fails by itself, or writes other files each time.
@@ -134,6 +137,8 @@ def failures(inputs: Path, earlier: list[str], command: list[str], kind: str, mo
             os.chdir(old)
             if earlier and (ended := run(earlier))[0]:
                 raise RuntimeError(f"{' '.join(earlier)}: {ended[1]}")
+            for path in [path for pattern in removed for path in old.glob(pattern)]:
+                path.unlink()
             before = contents(old)
             result(Fault(kind, 0))  # what is imported and kept in memory counts no longer
             counted = Fault(kind, 0)
@@ -188,6 +193,7 @@ def laboratory(folder: Path, *, with_study: bool) -> None:
 _STUDY = ["--protocol", "short.toml", "--subjects", "1", "--workers", "1", "--record-only"]
 _SIMULATE = ["simulate", "--subject", "person.toml", "--perturbation", "push.csv"]
 _VIDEO = ["video", "made/recordings/S01.nc", "--start", "1", "--stop", "1.2", "--size", "320", "240", "--view", "top"]
+_REPORT = ["report", "made", "--workers", "1"]
 _LIMITS = ["--goal", "intrinsic", "--force", "5", "--displacement", "0.01", "--duration", "20"]
 
 COMMANDS = {
@@ -210,16 +216,21 @@ COMMANDS = {
         [*_SIMULATE, "--out", "o.nc", "--overwrite"],
     ),
     "study": ([], ["study", *_STUDY, "--out", "o"]),
-    "score": (["report", "made", "--workers", "1"], ["score", "made"]),
+    "score": (_REPORT, ["score", "made"]),
     "video": (
         [*_VIDEO, "--trial", "0", "--out", "o.gif"],
         [*_VIDEO, "--trial", "1", "--out", "o.gif", "--overwrite"],
     ),
     "design": ([], ["design", "--subject", "person.toml", *_LIMITS, "--out", "o"]),
-    "report": ([], ["report", "made", "--workers", "1"]),
+    "report": (_REPORT, _REPORT),
     "calibrate": ([], ["calibrate", "--iterations", "1", "--out", "o.toml"]),
 }
 """Name to the command that ran before, and the command that fails."""
+
+REMOVED = {
+    "report": ("made/report.html", "made/tables/*", "made/figures/p*", "made/analysis/*-p*", "made/analysis/*-emg*")
+}
+"""Name to what is removed of the results of the command before: a report on a study that is new takes too long."""
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -235,7 +246,7 @@ def main(arguments: list[str] | None = None) -> None:
         os.chdir(here)
         for command in commands:
             for kind in OPERATIONS:
-                seen = list(failures(Path(name), *COMMANDS[command], kind, options.most))
+                seen = list(failures(Path(name), *COMMANDS[command], kind, options.most, REMOVED.get(command, ())))
                 wrong = [(number, text) for number, text in seen if text]
                 print(f"{command}, {kind}: {len(seen)} failed, {len(wrong)} wrong {wrong[:3]}", flush=True)
 

@@ -35,7 +35,7 @@ import tomli_w
 from armperturb import cli
 from armperturb.study.protocol import THESIS
 from benchmarks.faults import COMMANDS as FAILED
-from benchmarks.faults import contents, laboratory
+from benchmarks.faults import REMOVED, contents, laboratory
 from benchmarks.kept_rows import Row, with_kept_rows
 
 SIGNALS = (signal.SIGKILL, signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -46,12 +46,10 @@ PATIENCE, AFTERWARDS = 300.0, 10.0
 _STUDY = ["study", "--protocol", "tiny.toml", "--subjects", "2", "--block", "2", "--workers", "2", "--record-only"]
 _VALIDATE = ["validate", "--groups", "2", "--trials", "1", "--estimators", "frequency", "--workers", "2"]
 _DESIGN = ["--goal", "mass", "--force", "5", "--displacement", "0.01", "--duration", "9.2"]
-_REPORT = ["report", "made", "--workers", "1"]
 
 COMMANDS = {
     **FAILED,
     "study": ([], [*_STUDY, "--out", "o"]),
-    "report": (_REPORT, _REPORT),
     "joint": ([], ["joint", "--duration", "20", "--out", "o.nc"]),
     "compare": ([], ["compare", "r.nc", "--with", "thesis", "--out", "o"]),
     "validate": ([], [*_VALIDATE, "--out", "o"]),
@@ -59,11 +57,6 @@ COMMANDS = {
     "design": ([], ["design", "--subject", "person.toml", *_DESIGN, "--out", "o"]),
 }
 """Name to the command that ran before, and the command that is stopped."""
-
-REMOVED = {
-    "report": ("made/report.html", "made/tables/*", "made/figures/p*", "made/analysis/*-p*", "made/analysis/*-emg*")
-}
-"""Name to what is removed of the results of the command before: a report on a study that is new takes too long."""
 
 CONTINUING = ("study", "report")
 """Commands that continue where they were interrupted."""
@@ -119,6 +112,9 @@ def started(command: list[str]) -> int:
     status = 1
     try:
         os.setsid()
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        for each in (signal.SIGTERM, signal.SIGHUP):  # what runs in the background, or under nohup, ignores some
+            signal.signal(each, signal.SIG_DFL)
         said = os.open("../said", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         os.dup2(said, 2)
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
@@ -289,9 +285,13 @@ def kills(name: str, inputs: Path, seeds: list[int]) -> Iterator[Row]:
 
 
 def _visible(files: dict[str, bytes]) -> dict[str, bytes]:
-    """Files that are not hidden, without what a report says of results that were kept, as a first one has none."""
-    visible = {name: content for name, content in files.items() if not Path(name).name.startswith(".")}
-    return {name: b" ".join(RECALLED.sub(b" ", content).split()) for name, content in visible.items()}
+    """Files that are not hidden, `without_recalled`."""
+    return without_recalled({name: each for name, each in files.items() if not Path(name).name.startswith(".")})
+
+
+def without_recalled(files: dict[str, bytes]) -> dict[str, bytes]:
+    """Files without what a report says of results that were kept, as a first one has none."""
+    return {name: b" ".join(RECALLED.sub(b" ", content).split()) for name, content in files.items()}
 
 
 def _in_a_fork(command: list[str]) -> None:

@@ -17,9 +17,9 @@ from pathlib import Path
 
 from armperturb import cli
 from armperturb.study.results.cache import ANALYSIS
-from benchmarks.faults import contents
+from benchmarks.faults import REMOVED, contents
 from benchmarks.kept_rows import Row, with_kept_rows
-from benchmarks.kills import COMMANDS, REMOVED, inputs_of, scratch_folder, wrong
+from benchmarks.kills import COMMANDS, inputs_of, scratch_folder, without_recalled, wrong
 
 OF_FILES, PR_CAPBSET_DROP, CAPABILITY_VERSION = (1, 2, 3), 24, 0x20080522
 """Capabilities that pass over rights of files (CAP_DAC_OVERRIDE, CAP_DAC_READ_SEARCH, CAP_FOWNER), and how Linux is
@@ -145,11 +145,13 @@ def outcomes(name: str, inputs: Path, numbers: list[int]) -> Iterator[Row]:
             for number in numbers:
                 where = list(SURROUNDINGS)[number]
                 status, said, left = after(command, SURROUNDINGS[where])
+                files = before, expected, left
                 if "home" in where:  # where the key lies with which kept results are signed: they are computed anew
                     kept = [name for name in left if name in expected and Path(name).parent.name == ANALYSIS]
                     left |= {name: expected[name] for name in kept}
+                    files = without_recalled(before), without_recalled(expected), without_recalled(left)
                 errors = [line for line in said.splitlines() if line.startswith("armperturb: error: ")]
-                fault = wrong(status, where, (before, expected, left), said)
+                fault = wrong(status, where, files, said)
                 if not fault and (status not in (0, 1) or len(errors) != status):
                     fault = f"status {status}, {len(errors)} lines of errors: {said[-200:]!r}"
                 last = said.splitlines()[-1] if said else ""

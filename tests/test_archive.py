@@ -145,6 +145,12 @@ def test_what_was_changed_or_written_with_another_key_is_not_believed(tmp_path, 
         read_archive(path)
 
 
+def test_a_pipe_is_no_key(tmp_path, monkeypatch):
+    os.mkfifo(tmp_path / "key")
+    monkeypatch.setenv("ARMPERTURB_KEY", str(tmp_path / "key"))
+    assert len(archive._key.__wrapped__()) == 32
+
+
 def test_the_key_is_the_users_alone_and_lasts(tmp_path, monkeypatch):
     monkeypatch.setenv("ARMPERTURB_KEY", str(tmp_path / "new" / "key"))
     first = archive._key.__wrapped__()

@@ -8,8 +8,30 @@ import time
 
 import pytest
 
+from armperturb import files
+
 SLOW = pytest.mark.slow(reason="three processes")
 SIGNALS = ["SIGINT", pytest.param("SIGTERM", marks=SLOW), pytest.param("SIGHUP", marks=SLOW)]
+
+DURING_CALLBACKS = """
+import signal, sys, time, weakref
+from armperturb import cli
+from armperturb.commands.command import Command
+
+class Thing:
+    pass
+
+class Long(Command):
+    def run(self):
+        thing = Thing()
+        kept = weakref.ref(thing, lambda _: (signal.raise_signal(getattr(signal, sys.argv[1])), time.sleep(0.1)))
+        del thing
+        time.sleep(20.0)
+        return []
+
+cli._parse = lambda arguments: Long()
+sys.exit(cli.main([]))
+"""
 
 PROGRAM = """
 import sys, time
@@ -50,3 +72,30 @@ def test_signals_end_a_command_in_order(tmp_path, name, to_group):
     _, errors = run.communicate(timeout=30.0)
     assert (run.returncode, errors) == (128 + number, "armperturb: interrupted\n")
     assert [path.name for path in tmp_path.iterdir()] == ["ready"]
+
+
+@pytest.mark.parametrize("name", SIGNALS)
+def test_a_signal_within_a_callback_is_not_lost(name):
+    number = getattr(signal, name)
+    run = subprocess.run(
+        [sys.executable, "-c", DURING_CALLBACKS, name],
+        capture_output=True,
+        text=True,
+        timeout=15.0,
+        preexec_fn=lambda: signal.signal(number, signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL),
+    )
+    assert (run.returncode, run.stderr) == (128 + number, "armperturb: interrupted\n")
+
+
+def test_a_part_file_of_any_moment_is_removed(tmp_path, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    made = files.os.close
+    monkeypatch.setattr(files.os, "close", lambda handle: (made(handle), interrupted()))  # it is there, and not known
+    with pytest.raises(KeyboardInterrupt), files.written_whole(tmp_path / "o.csv"):
+        pass
+    monkeypatch.undo()
+    assert len(list(tmp_path.iterdir())) == 1
+    files.remove_unfinished()
+    assert not list(tmp_path.iterdir())

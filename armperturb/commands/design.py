@@ -19,8 +19,9 @@ class Design(Command):
     def run(self) -> list[str]:
         """Plan, and write the plan."""
         from armperturb.study.planning.plan import design
-        from armperturb.study.planning.report import write_design
+        from armperturb.study.planning.report import earlier_perturbations, write_design
 
+        earlier_perturbations(self.out)  # refused before the work
         result = design(self.settings)
         write_design(result, self.out)
         return [result.summary(), f"results: {self.out}"]

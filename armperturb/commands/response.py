@@ -104,9 +104,9 @@ class Response(Command):
         for name, result in results.items():
             table, figure = self.out / f"{name}.csv", self.out / f"{name}.svg"
             if result is None:
-                for path in (table, figure):
+                for path in (table, figure) if table.is_file() and figure.is_file() else ():
                     require_no_input(path)
-                    path.unlink(missing_ok=True)
+                    path.unlink()
             else:
                 write_csv(result.to_frame().assign(condition=condition), table)
                 save_plot(result, figure)

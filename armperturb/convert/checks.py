@@ -1,6 +1,5 @@
 """Refuses what no arm and manipulator do, as a wrong unit or start makes them do."""
 
-import hashlib
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -39,6 +38,9 @@ REACH = 1.0
 AWAY = 0.01
 """Distance from its start at which no path stays throughout, unless it moves by more [m]; refuses places in a room."""
 
+COPIED = 1e-4
+"""RMS by which the signals of copies differ at most, over their own [-]: by rounding. No two trials of a person, and of
+hardly any instrument, agree so well."""
 
 _POSTURE = ("l_h", "l_f", "theta_s_deg", "theta_e_deg")
 
@@ -95,21 +97,47 @@ def check_different(recordings: Sequence[xr.Dataset], names: Sequence[str], file
     Raises:
       ValueError: a trial is in two files.
     """
-    seen: dict[bytes, int] = {}
     notes = []
     trials = [recording.isel(trial=trial) for recording in recordings for trial in range(recording.sizes["trial"])]
-    for place, trial in enumerate(trials):
-        signals = [
-            np.ascontiguousarray(trial[name].values, dtype=float)
-            for name in REQUIRED_SIGNALS
-            if name in trial.data_vars
-        ]
-        before = seen.setdefault(hashlib.sha256(b"".join(signal.tobytes() for signal in signals)).digest(), place)
+    for place, before in sorted(_copies(trials).items()):
         if files[before] != files[place]:
             raise ValueError(f"{names[place]} has the signals of {names[before]}; expected each trial in one file only")
-        if before != place:
-            notes.append(f"{names[place]} has the signals of {names[before]}: they do not count as independent trials")
+        notes.append(f"{names[place]} has the signals of {names[before]}: they do not count as independent trials")
     return tuple(notes)
+
+
+def _copies(trials: Sequence[xr.Dataset]) -> dict[int, int]:
+    """Place of each trial that is a copy to that of the first of its like."""
+    shortest = min((trial.sizes["time"] for trial in trials), default=0)
+    paths = [trial["displacement"].values for trial in trials]
+    # Copies have nearly the same mean, so that not all have to be compared with all.
+    means = np.array([path[:shortest].mean(dtype=float) for path in paths])
+    within = COPIED * np.array([np.linalg.norm(path) for path in paths]) / np.sqrt(max(shortest, 1))
+    first: dict[int, int] = {}
+    order = np.argsort(means, kind="stable").tolist()
+    for rank, place in enumerate(order):
+        for other in reversed(order[:rank]):
+            if means[place] - means[other] > max(within[place], within[other]):
+                break
+            if _is_copy(trials[place], trials[other]):
+                same = {place, other, first.get(place, place), first.get(other, other)}
+                first |= dict.fromkeys(same, min(same))
+    return {place: before for place, before in first.items() if before != place}
+
+
+def _is_copy(trial: xr.Dataset, other: xr.Dataset) -> bool:
+    """Whether trials have the same signals but for rounding, and for an end that one may lack."""
+    n, longest = sorted((trial.sizes["time"], other.sizes["time"]))
+    if 2 * n < longest or trial.attrs["rate"] != other.attrs["rate"]:
+        return False
+    for name in REQUIRED_SIGNALS[::-1]:
+        if (name in trial.data_vars) != (name in other.data_vars):
+            return False
+        if name in trial.data_vars:
+            here, there = (np.asarray(each[name].values[:n], dtype=float) for each in (trial, other))
+            if here.shape != there.shape or np.linalg.norm(here - there) > COPIED * np.linalg.norm(here):
+                return False
+    return True
 
 
 def check_recordings(recordings: Sequence[xr.Dataset], files: Sequence[str]) -> tuple[str, ...]:
@@ -137,8 +165,9 @@ def require_plausible(trial: Timed) -> None:
     if trial.servo is not None:  # `check_joint` names an angle in degrees by the inertia
         limits["rad"] *= DEGREES
     for name, values in signals.items():
-        size, unit = np.abs(values).max(axis=1), trial.units[name]
-        if size.max() > limits[unit]:
+        unit = trial.units[name]
+        if max(values.max(), -values.min()) > limits[unit]:
+            size = np.abs(values).max(axis=1)
             at = int(np.argmax(size > limits[unit]))
             raise ValueError(
                 f"{where}: {name} is {size[at]:.4g} {unit} at {at / rates[name]:.6g} s; expected at most "

@@ -411,13 +411,13 @@ def test_an_unknown_library_is_one_line_and_identify_needs_none(tmp_path):
 
 
 def test_a_file_that_cannot_be_written_is_named_as_the_user_did(tmp_path, monkeypatch):
-    def denied(*_, **options):
-        raise OSError(errno.EACCES, os.strerror(errno.EACCES), str(tmp_path / f"{options['prefix']}xyz.part"))
+    def denied(path, *_):
+        raise OSError(errno.EACCES, os.strerror(errno.EACCES), str(path))
 
     gone = pytest.raises(FileNotFoundError, match=r"No such file or directory: '[^']*/a\.nc'$")
     with gone, written_whole(tmp_path / "a.nc") as temporary:
         temporary.unlink()
-    monkeypatch.setattr("tempfile.mkstemp", denied)
+    monkeypatch.setattr("armperturb.files.os.open", denied)
     with pytest.raises(PermissionError) as caught, written_whole(tmp_path / "a.nc"):
         pytest.fail("nothing is to be written")
     assert caught.value.filename == str(tmp_path / "a.nc")

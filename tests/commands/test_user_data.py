@@ -1,6 +1,7 @@
 """A user's own files are never lost: no command writes to what it has read, and none replaces a file unasked."""
 
 import errno
+import os
 import shutil
 import subprocess
 from pathlib import Path
@@ -68,6 +69,21 @@ def test_a_result_of_the_name_of_an_input_is_refused(folder, capsys):
     assert structure.read_text(encoding="utf-8") == 'base = "3b"\n'
 
 
+def test_an_empty_folder_is_not_the_current_one(folder, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    before = content_of(folder)
+    line = refused(capsys, "identify", next(folder.glob("*.nc")), "--model", "3b", "--out", "")
+    assert "--out '': an empty argument" in line
+    assert content_of(folder) == before
+
+
+def test_a_file_that_no_run_has_written_is_not_removed(folder):
+    (folder / "distortion.csv").write_text("mine", encoding="utf-8")
+    recording = Path(__file__).parents[2] / "examples" / "data" / "relax.nc"
+    assert cli.main(["response", str(recording), "--method", "welch", "--out", str(folder)]) == 0
+    assert (folder / "distortion.csv").read_text(encoding="utf-8") == "mine"
+
+
 def test_joins_keep_what_all_have_and_name_the_rest(folder, capsys):
     first = load_recording(next(folder.glob("*.nc")))
     n_time = first.sizes["time"]
@@ -86,6 +102,42 @@ def test_joins_keep_what_all_have_and_name_the_rest(folder, capsys):
     assert cli.main(["convert", *map(str, paths), "--out", str(out), "--overwrite"]) == 0
     assert "left out: joint_angle" in capsys.readouterr().out
     assert "joint_angle" not in load_recording(out)
+
+
+@pytest.mark.parametrize("make", [lambda path: path.symlink_to("nothing.nc"), os.mkfifo], ids=["link", "pipe"])
+def test_what_is_no_file_is_not_replaced_either(folder, capsys, make):
+    out = folder / "o.nc"
+    make(out)
+    assert "exists already" in refused(capsys, "convert", next(folder.glob("*.csv")), "--out", out)
+    assert not out.is_file()
+
+
+@pytest.mark.parametrize("change", ["format", "rounded", "shorter"])
+def test_copies_that_differ_by_rounding_or_their_end_are_copies(folder, capsys, change):
+    source = next(folder.glob("*.nc"))
+    copy, recording = folder / "copy.nc", load_recording(source)
+    if change == "format":
+        copy = folder / "copy.mat"
+        assert cli.main(["convert", str(source), "--out", str(copy)]) == 0
+        capsys.readouterr()
+    elif change == "rounded":
+        path = recording["displacement"]
+        recording["displacement"] = path.round(6)
+        save_recording(recording, copy)
+    else:
+        save_recording(recording.isel(time=slice(0, -10)), copy)
+    line = refused(capsys, "response", source, copy, "--out", folder / "results")
+    assert "expected each trial in one file only" in line
+
+
+def test_trials_of_little_noise_are_no_copies(folder):
+    source = next(folder.glob("*.nc"))
+    recording, path = load_recording(source), folder / "other.nc"
+    noise = np.random.default_rng(0).normal(size=recording["displacement"].shape)
+    moved = recording["displacement"]
+    recording["displacement"] = (moved + 1e-3 * float(moved.std()) * noise).assign_attrs(moved.attrs)
+    save_recording(recording, path)
+    assert import_recording([source, path]).recording.sizes["trial"] == 4
 
 
 @pytest.mark.parametrize("ending", [".csv", ".nc"])

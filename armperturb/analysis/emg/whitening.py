@@ -15,6 +15,10 @@ from armperturb.recording import HighPass
 RESOLUTION = 12.5
 """Of the spectra that filters are made from [Hz]: they ring for less than half its inverse."""
 
+LONGEST_PART, BESIDE = 2**19, 4.0
+"""Samples of a trial that are filtered at once: longer ones are cut into equal parts, for the sake of time and memory,
+and what is beside a part within such a time [s] is filtered with it, as notches ring."""
+
 EDGE_ORDER = 4
 """Order of the band's edges, as of a Butterworth filter that is run forward and backward."""
 
@@ -36,8 +40,9 @@ class Whitening:
     """Filter of each channel: of zero phase, together with the amplifier where that is known.
 
     Attributes:
-      edge: samples by which a trial is extended at either end.
-      n_padded: samples of a trial that is so extended, with the zeros behind it.
+      edge: samples by which a trial, and each of its parts, is extended at either end.
+      n_part: samples of a part.
+      n_padded: samples of a part that is so extended, with the zeros behind it.
       response: (muscle, frequency), real.
       undone: what takes the phase of the amplifier away, of modulus one, (frequency,); None where nobody knows it.
       samples_per_second: independent numbers in a second of what comes out [1/s], (muscle,).
@@ -47,6 +52,7 @@ class Whitening:
     """
 
     edge: int
+    n_part: int
     n_padded: int
     response: NDArray[np.float32]
     undone: NDArray[np.complex64] | None
@@ -61,11 +67,14 @@ class Whitening:
         # Point reflections at the ends, as a jump there would be a burst of what whitening lets through best.
         before, after = volts[edge:0:-1], volts[-2 : -edge - 2 : -1]
         extended = np.concatenate([2.0 * volts[:1] - before, volts, 2.0 * volts[-1:] - after])
-        spectrum = fft.rfft(extended, self.n_padded)
-        spectrum *= self.response[column]
-        if self.undone is not None:
-            spectrum *= self.undone
-        white: NDArray[np.float32] = fft.irfft(spectrum, self.n_padded, overwrite_x=True)[edge : edge + n]
+        white = np.empty(n, dtype=np.float32)
+        for start in range(0, n, self.n_part):
+            out = white[start : start + self.n_part]
+            spectrum = fft.rfft(extended[start : start + len(out) + 2 * edge], self.n_padded)
+            spectrum *= self.response[column]
+            if self.undone is not None:
+                spectrum *= self.undone
+            out[:] = fft.irfft(spectrum, self.n_padded, overwrite_x=True)[edge : edge + len(out)]
         return white
 
 
@@ -95,6 +104,7 @@ class Spectra:
           low: lower edge of the band [Hz].
           mains: frequencies whose hum is looked for, with their multiples [Hz].
         """
+        n_parts = parts_of(volts.shape[1])
         n_padded = padded_length(volts.shape[1], rate)
         frequency = fft.rfftfreq(n_padded, 1.0 / rate)
         starts = np.unique(np.searchsorted(frequency, np.arange(0.0, rate / 2.0, RESOLUTION)))
@@ -104,8 +114,11 @@ class Spectra:
         for column in range(volts.shape[2]):  # one after the other, for the sake of memory
             total = np.zeros(len(frequency), dtype=np.float32)
             for trial, values in enumerate(volts):
-                transformed = fft.rfft(values[:, column] - means[trial][column], n_padded)
-                density = transformed.real**2 + transformed.imag**2
+                density = np.zeros_like(total)
+                for part in values[: len(values) // n_parts * n_parts, column].reshape(n_parts, -1):
+                    transformed = fft.rfft(part - means[trial][column], n_padded)
+                    density += transformed.real**2 + transformed.imag**2
+                density /= n_parts
                 total += density
                 power[trial, column] = np.add.reduceat(density, starts) / sizes
             total /= len(volts)
@@ -117,14 +130,21 @@ class Spectra:
         return cls(frequency=centre, power=power, below=below, hum=hum)
 
 
+def parts_of(n_samples: int) -> int:
+    """Into how many parts a trial is cut."""
+    return -(-n_samples // LONGEST_PART)
+
+
 def padded_length(n_samples: int, rate: float) -> int:
-    """Samples to which trials are padded."""
-    return int(fft.next_fast_len(n_samples + 2 * edge_length(n_samples, rate), real=True))
+    """Samples to which parts of a trial are padded."""
+    n_part = -(-n_samples // parts_of(n_samples))
+    return int(fft.next_fast_len(n_part + 2 * edge_length(n_samples, rate), real=True))
 
 
 def edge_length(n_samples: int, rate: float) -> int:
-    """Samples for which a filter rings, by which a trial is extended at either end."""
-    return min(round(rate / RESOLUTION), n_samples - 1)
+    """Samples by which a trial is extended at either end: for as long as filters without notches ring, or longer."""
+    length = 1.0 / RESOLUTION if parts_of(n_samples) == 1 else BESIDE
+    return min(round(rate * length), n_samples - 1)
 
 
 def band_power(frequency: Array, low: float, high: float) -> Array:
@@ -192,6 +212,7 @@ def whitening(
       whiten: whether to whiten; if not, the band alone is let through.
     """
     frequency, n_muscles, n_padded = spectra.frequency, len(noise), padded_length(n_samples, rate)
+    n_parts = parts_of(n_samples)
     passed, fine = band_power(frequency, *band), fft.rfftfreq(n_padded, 1.0 / rate)
     response = np.empty((n_muscles, len(fine)), dtype=np.float32)
     samples, gain, silent = np.empty(n_muscles), np.empty(n_muscles), np.empty(n_muscles)
@@ -212,9 +233,11 @@ def whitening(
         samples[column] = 2.0 * fine[1] * np.sum(out) ** 2 / np.sum(out**2)
         above = np.maximum(np.mean(of_trials, axis=0) - noise[column], 1e-30)
         gain[column] = np.sum(power * above) / np.sum(passed * above)
-        silent[column] = 2.0 * np.sum(np.interp(fine, frequency, noise[column]) * root**2) / (n_samples * n_padded)
+        silent[column] = 2.0 * np.sum(np.interp(fine, frequency, noise[column]) * root**2)
+        silent[column] /= n_samples // n_parts * n_padded
     return Whitening(
         edge=edge_length(n_samples, rate),
+        n_part=-(-n_samples // n_parts),
         n_padded=n_padded,
         response=response,
         undone=None if highpass is None else _without_phase(fine, highpass),

@@ -18,8 +18,9 @@ logarithms of both likelihoods add (`trials_with_emg`). Rotations are those of t
 the handle's displacement x and its force f on the hand: q = J^-1 (x - f / (b_h s + k_h)).
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy import fft
@@ -35,7 +36,7 @@ from armperturb.analysis.arm.parameters import (
 )
 from armperturb.analysis.emg.outputs import ReflexOutputs
 from armperturb.analysis.fit.frequency_bands import Smoother
-from armperturb.analysis.fit.frequency_rows import applied, applied_rows
+from armperturb.analysis.fit.frequency_rows import applied, applied_rows, complex_values
 from armperturb.analysis.fit.likelihood import judged_part
 from armperturb.analysis.fit.trial_effects import FEWEST_TRIALS
 from armperturb.analysis.fit.whittle import ALL, Whittle
@@ -162,6 +163,12 @@ class EmgLikelihood(Whittle):
         """What white movement (..., axis, frequency) makes of the white residual, (..., number)."""
         return applied_rows(self._white, applied(self._share, moved))
 
+    def to_movement(self, rows: Array) -> ComplexArray:
+        """The transpose of `of_movement`, of inner products of which the real part counts."""
+        white = complex_values(rows, (*rows.shape[:-1], self._n_outputs, len(self._frequency)))
+        share, whitener = (each.conj().swapaxes(0, 1) for each in (self._share, self._white))
+        return applied(share, applied(whitener, white))
+
     @property
     def rows(self) -> list[int]:
         """Places of the values that EMG depends on."""
@@ -243,29 +250,38 @@ class EmgLikelihood(Whittle):
     def _slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, ComplexArray]]:
         late, seen, gains = self._late(values), self._seen(values), values[N_ARM:]
         rotation = self._rotation(values)
-        rows = dict[int, ComplexArray]()
-        for power, name in enumerate(FEEDBACK):
-            moved = late * self._s**power
-            for row in np.unique(MATRIX[name]):
-                change = np.zeros_like(seen)
-                for joint, source in np.argwhere(MATRIX[name] == row):
-                    change[:, joint] += moved[joint] * rotation[:, source]
-                rows[int(row)] = self._mixed(change, gains)
-        by_delay = -self._s * seen
-        for joint in range(2):
+        derivatives = np.zeros((mixing.shape[1], len(seen), self._n_outputs, seen.shape[-1]), dtype=complex)
+
+        def add(row: int, change: Callable[[], ComplexArray]) -> None:
+            """Count the derivative by a value, one after the other for the sake of memory, where it is free."""
+            if mixing[row].any():
+                of_row = change()
+                for column in np.flatnonzero(mixing[row]):
+                    derivatives[column] += mixing[row, column] * of_row
+
+        def of_joints(changes: Mapping[int, ComplexArray]) -> ComplexArray:
             change = np.zeros_like(seen)
-            change[:, joint] = by_delay[:, joint]
-            rows[DELAYS.start + joint] = self._mixed(change, gains)
+            for joint, of_joint in changes.items():
+                change[:, joint] = of_joint
+            return self._mixed(change, gains)
+
+        def of_feedback(name: str, power: int, row: int) -> ComplexArray:
+            places = np.argwhere(MATRIX[name] == row)
+            return of_joints({joint: late[joint] * self._s**power * rotation[:, source] for joint, source in places})
+
+        for power, name in enumerate(FEEDBACK):
+            for row in np.unique(MATRIX[name]).tolist():
+                add(row, partial(of_feedback, name, power, row))
+        for joint in range(2):
+            add(DELAYS.start + joint, partial(of_joints, {joint: -self._s * seen[:, joint]}))
         if self._grip_load is not None and np.isfinite(values[GRIP_STIFFNESS]):
             through = (late[:, None] * self._feedback(values)) * self._grip(values) ** 2
             by_stiffness = np.einsum("jif,tif->tjf", through, self._grip_load)
-            rows[GRIP_STIFFNESS] = self._mixed(by_stiffness, gains)
-            rows[GRIP_DAMPING] = self._mixed(self._s * by_stiffness, gains)
+            add(GRIP_STIFFNESS, lambda: self._mixed(by_stiffness, gains))
+            add(GRIP_DAMPING, lambda: self._mixed(self._s * by_stiffness, gains))
         for k, (output, joint) in enumerate(self._gains):
-            change = np.zeros((len(seen), self._n_outputs, len(self._s)), dtype=complex)
-            change[:, output] = seen[:, joint]
-            rows[N_ARM + k] = change
+            for column in np.flatnonzero(mixing[N_ARM + k]):
+                derivatives[column, :, output] += mixing[N_ARM + k, column] * seen[:, joint]
         if self._delay.sd > 0.0:
-            rows[N_ARM + len(self._gains)] = self._mixed(-by_delay, gains)
-        derivatives = np.einsum("rp,rtof->ptof", mixing[list(rows)], np.array(list(rows.values())))
+            add(N_ARM + len(self._gains), lambda: self._mixed(self._s * seen, gains))
         yield ALL, derivatives

@@ -1,7 +1,7 @@
 """From a recording to the arm: admittance, environment, arm model and how well it predicts (thesis 2.6, 2.7)."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, get_args
@@ -14,7 +14,7 @@ from armperturb.analysis.arm.linear_arm import arm_admittance
 from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START, Estimator
 from armperturb.analysis.fit.arm_fit import ArmFit
-from armperturb.analysis.fit.group import Group, Method, parts_by_condition
+from armperturb.analysis.fit.group import Group, parts_by_condition
 from armperturb.analysis.fit.ladder import Choice, choose_structure, nearest_to_linear
 from armperturb.analysis.fit.maximum_likelihood import Estimate, estimate
 from armperturb.analysis.fit.own_structures import composed
@@ -308,8 +308,10 @@ def identify_conditions(
             return emg.added_to(group, conditions[group.label][0]) if emg else group
 
         if model is None:
-            choices = [choose_structure(*each, estimator) for each in zip(groups, moved, strict=True)]
-            fits = {choice.condition: _chosen_fit(choice, with_emg, estimator) for choice in choices}
+            choices = [
+                choose_structure(*each, estimator, with_emg=with_emg) for each in zip(groups, moved, strict=True)
+            ]
+            fits = {choice.condition: _chosen_fit(choice) for choice in choices}
         elif structure.name in STRUCTURES:
             joint = estimate([with_emg(group) for group in groups], estimator, share=share)
             fits = {group.label: _likely_fit(joint, group, spectra[group.label]) for group in groups}
@@ -381,12 +383,9 @@ def _in_start_geometry(group: Group, options: Mapping[str, Any], arm: Subject | 
         return None
 
 
-def _chosen_fit(choice: Choice, with_emg: Callable[[Group], Group], method: Method) -> ArmFit:
+def _chosen_fit(choice: Choice) -> ArmFit:
     """With the structure that the trials choose; what is said of the choice comes before other remarks."""
     group = choice.group.with_structure(choice.chosen.structure)
-    known = with_emg(group)
-    if known is not group:
-        choice = replace(choice, estimate=estimate([known], method, initial=choice.estimate.values))
     fit = _likely_fit(choice.estimate, group, group.spectra)
     return replace(fit, trials=group.parts, choice=choice, remarks=(*choice.remarks(group.parts), *fit.remarks))
 

@@ -195,7 +195,13 @@ class Choice(Result):
         )
 
 
-def choose_structure(recorded: Group, in_geometry: Geometry | None = None, method: Method = "record") -> Choice:
+def choose_structure(
+    recorded: Group,
+    in_geometry: Geometry | None = None,
+    method: Method = "record",
+    *,
+    with_emg: Callable[[Group], Group] = lambda group: group,
+) -> Choice:
     """Fit the structures of the ladder to the trials of one condition, and choose.
 
     Args:
@@ -203,9 +209,10 @@ def choose_structure(recorded: Group, in_geometry: Geometry | None = None, metho
       in_geometry: the same trials as `in_start_geometry` has them, for an estimate of the arm or None; None where an
         arm cannot reach the handle. Of all these, those are used that a linear arm explains best.
       method: of the likelihood, see `maximum_likelihood.estimate`.
+      with_emg: adds the EMG that the estimate with the chosen structure uses as well; the choice is made without it.
 
     Raises:
-      ValueError: as `estimate`, of every structure that was tried.
+      ValueError: as `estimate`, of every structure that was tried, or as `with_emg`.
     """
     group, richest = _nearest_to_linear(recorded, in_geometry, method)
     fits = _fits_of_spectra(group)
@@ -230,7 +237,7 @@ def choose_structure(recorded: Group, in_geometry: Geometry | None = None, metho
     for each in (recorded, group):
         each.made.pop("segments", None)  # they take much memory, and are not needed any more
     initial = dict(zip(best.structure.free, best.sketch.values.tolist(), strict=True))
-    estimate_of_best = estimate([group.with_structure(best.structure)], method, initial=initial)
+    estimate_of_best = estimate([with_emg(group.with_structure(best.structure))], method, initial=initial)
     return Choice(
         condition=group.label,
         group=group,

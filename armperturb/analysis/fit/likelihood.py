@@ -22,7 +22,7 @@ from scipy import fft
 
 from armperturb.analysis.arm.geometry import hand_jacobian
 from armperturb.analysis.fit.frequency_bands import EXCITED_POWER
-from armperturb.analysis.fit.frequency_rows import applied
+from armperturb.analysis.fit.frequency_rows import applied, complex_values
 from armperturb.analysis.fit.total_admittance import TotalAdmittance
 from armperturb.analysis.fit.whittle import ALL, ROUND_OFF, Whittle
 from armperturb.analysis.force_balance import NoiseLevels, gauge_gain
@@ -277,9 +277,25 @@ class RecordLikelihood(Likelihood):
         return np.concatenate([*moved, offsets.reshape(-1, 2, offsets.shape[-1])])
 
     def _slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, ComplexArray]]:
-        # Of long records few parameters at a time, for the sake of memory.
-        size = mixing.shape[1] * self._load[0].size
-        parts = np.array_split(mixing, min(mixing.shape[1], -(-size // LONGEST_SIGNALS)), axis=1)
-        of_parts = [self._model.driven_slopes(values, part, self._load, then=self._cut) for part in parts]
-        for trial, derivatives in enumerate(zip(*of_parts, strict=True)):
-            yield slice(trial, trial + 1), np.concatenate(derivatives)[:, None]
+        for trial, driven in enumerate(self._model.driven_slopes(values, mixing, self._load)):
+            yield slice(trial, trial + 1), self._cut(driven)[:, None]
+
+    def exact_slopes(self, values: Array, mixing: Array, along: Array) -> Array:
+        """As `Whittle.exact_slopes`."""
+        # Of <r, W C dP d>, with C for `_cut`, all but dP is the same for all parameters: C^T W^T r takes two transforms
+        # of a trial, and the C dP d themselves as many of each parameter.
+        mean = values if values.ndim == 1 else values.mean(axis=0)
+        white = complex_values(self._left(along), self._observed.shape)
+        errors = applied(self._white.conj().swapaxes(0, 1), white)
+        return self._model.slopes_along(mean, mixing, self._load, map(self._uncut, errors))
+
+    def _uncut(self, spectrum: ComplexArray) -> ComplexArray:
+        """The transpose of `_cut`, of inner products of which the real part counts, (axis, ...)."""
+        n = len(self._taper)
+        padded = np.zeros((*spectrum.shape[:-1], n // 2 + 1), dtype=complex)
+        padded[..., self._used] = spectrum
+        signals = np.zeros((*spectrum.shape[:-1], self._judged.stop))
+        signals[..., self._judged] = fft.irfft(padded, n, axis=-1, overwrite_x=True) * self._taper
+        whole = fft.rfft(signals, self._n_padded, axis=-1)[..., : self._load.shape[-1]] * (n / self._n_padded)
+        whole[..., 0] *= 0.5
+        return np.asarray(whole)

@@ -185,8 +185,8 @@ def estimate(
     first_method: Method = "record" if any(group.period is None for group in groups) else "frequency"
     problem = JointLikelihood(groups, first_method, share)
     first = problem.stabilised(problem.initial(initial or {}))
-    search = search_best(problem, first)
-    fitted = _judge(problem, first_method, search)
+    judged = search = search_best(problem, first)
+    fitted = _judge(problem, first_method, judged)
     if not np.isfinite(list(fitted.standard_error.values())).all():
         problem.require_identifiable(first)
     is_given = initial is not None and len(initial) == len(problem.names)
@@ -199,7 +199,8 @@ def estimate(
     if first_method != method:
         problem = JointLikelihood(groups, method, share)
         search = search_best(problem, problem.stabilised(search.values))
-    return _judge(problem, method, _with_trial_effects(problem, search))
+    final = _with_trial_effects(problem, search)
+    return fitted if final is judged else _judge(problem, method, final)
 
 
 class Sketch(NamedTuple):

@@ -5,7 +5,7 @@ Trials of some minutes are one run.
 """
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
@@ -46,7 +46,6 @@ class TotalAdmittance:
         mixing: Array,
         loads: ComplexArray,
         scale: ComplexArray | None = None,
-        then: Callable[[ComplexArray], ComplexArray] | None = None,
     ) -> Iterator[ComplexArray]:
         """Derivatives of P d by the free parameters, of one trial after the other, (free parameter, axis, frequency).
 
@@ -55,7 +54,6 @@ class TotalAdmittance:
           mixing: (arm parameter, free parameter).
           loads: DFT of d, (trial, axis, frequency).
           scale: of P, if it is not 1, (frequency,).
-          then: what is made of them before they are handed out, so that they need not be kept.
         """
         gradients = [self._gradient(0, values, mixing, scale)] if len(self._runs) == 1 else None
         for first, second in loads:
@@ -65,15 +63,31 @@ class TotalAdmittance:
                 gradient = gradients[0] if gradients else self._gradient(number, values, mixing, scale)
                 np.multiply(gradient[:, :, 0], first[run], out=driven[..., run])
                 driven[..., run] += gradient[:, :, 1] * second[run]
-            if then is not None:
-                driven = then(driven)
             yield driven
+
+    def slopes_along(
+        self, values: Array, mixing: Array, loads: ComplexArray, directions: Iterable[ComplexArray]
+    ) -> Array:
+        """Derivatives of the real part of <direction, P d> of each trial by the free parameters, (trial, parameter).
+
+        Args:
+          values: parameters of the arm, (parameter,).
+          mixing: (arm parameter, free parameter).
+          loads: DFT of d, (trial, axis, frequency).
+          directions: of each trial, (axis, frequency).
+        """
+        # As x.re m.re - x.im m.im is the real part of x m, conjugates beside one another give it by one product.
+        outer = [direction[:, None] * load.conj() for direction, load in zip(directions, loads, strict=True)]
+        slopes = np.zeros((mixing.shape[1], len(loads)))
+        groups, index = groups_of(np.any(mixing != 0.0, axis=1))
+        for arm, run in zip(self._arms, self._runs, strict=True):
+            by_all = arm.total_and_gradient(values, self._environment, groups)[1].transpose(3, 1, 2, 0)
+            along = np.array([each[..., run].ravel() for each in outer]).view(float)
+            slopes += mixing[index].T @ (by_all.reshape(len(index), -1).view(float) @ along.T)
+        return slopes.T
 
     def _gradient(self, number: int, values: Array, mixing: Array, scale: ComplexArray | None) -> ComplexArray:
         """Derivatives of P by the free parameters in one run, (free parameter, output, input, frequency)."""
-        if not mixing.any():  # as that of the gains of EMG, which move no arm
-            run = self._runs[number]
-            return np.zeros((mixing.shape[1], 2, 2, run.stop - run.start), dtype=complex)
         groups, index = groups_of(np.any(mixing != 0.0, axis=1))
         by_all = self._arms[number].total_and_gradient(values, self._environment, groups)[1].transpose(3, 1, 2, 0)
         # Real and imaginary parts beside one another: the mixing is real.

@@ -72,10 +72,18 @@ class TrialsWithEmg:
         moved, active = self._white_rows(values)
         n_trials, n = self.n_trials, mixing.shape[1]
         slopes, informations = np.zeros((n_trials, n)), np.zeros((n_trials, n, n))
-        for trial, *both in self._white_slopes(values, mixing, quick=quick):
+        along, exact = moved, None
+        if self.is_long and not quick:
+            along = moved - self._of_emg(active) if self._is_shown else moved
+            of_movement = np.flatnonzero(mixing[:N_ARM].any(axis=0))
+            exact = self.movement.exact_slopes(values[..., :N_ARM], mixing[:N_ARM, of_movement], along)
+        for trial, *both in self._white_slopes(values, mixing, quick=quick or exact is not None):
             for (columns, rows), left in zip(both, (moved[trial], active[trial]), strict=True):
                 slopes[trial, columns] += rows @ left
                 informations[trial][np.ix_(columns, columns)] += rows @ rows.T
+            if exact is not None:
+                columns, rows = both[0]
+                slopes[trial, columns] += exact[trial] - rows @ along[trial]
         return Normal(float(np.sum(moved**2) + np.sum(active**2)), slopes, informations)
 
     def informations(self, values: Array, mixing: Array) -> tuple[Array, Array]:
@@ -102,6 +110,15 @@ class TrialsWithEmg:
         """Values (..., frequency) at the frequencies of the EMG, zero where movement is not judged."""
         part = values[..., self._first : self._first + len(self.emg.judged_frequency)]
         return np.pad(part, [(0, 0)] * (part.ndim - 1) + [(0, len(self.emg.judged_frequency) - part.shape[-1])])
+
+    def _of_emg(self, rows: Array) -> Array:
+        """The transpose of what white movement makes of the white residual of the EMG, (..., number)."""
+        moved = self.emg.to_movement(rows)
+        n = len(self.movement.judged_frequency)
+        back = np.zeros((*moved.shape[:-1], n), dtype=complex)
+        part = back[..., self._first : self._first + moved.shape[-1]]
+        part[...] = moved[..., : part.shape[-1]]
+        return np.stack([back.real, back.imag], axis=-3).reshape(*rows.shape[:-1], -1)
 
     def _white_rows(self, values: Array) -> tuple[Array, Array]:
         """The white residuals of movement and EMG, as `Whittle.white_rows`."""

@@ -248,14 +248,15 @@ class Whittle:
         """Least squares with respect to free parameters; mixing is (parameter, free parameter).
 
         Where the parameters of trials differ, derivatives are those at their mean. Quick ones leave out how the
-        response to a record's edges depends on the parameters.
+        response to a record's edges depends on the parameters; of long records the information does in any case.
         """
         residual, n = self.white_rows(values), mixing.shape[1]
         slopes, informations = np.zeros((self.n_trials, n)), np.zeros((self.n_trials, n, n))
-        for trial, rows in self.white_slopes(values, mixing, quick=quick):
+        exact = None if quick or not self.is_long else self.exact_slopes(values, mixing, residual)
+        for trial, rows in self.white_slopes(values, mixing, quick=quick or exact is not None):
             slopes[trial] = rows @ residual[trial]
             informations[trial] = rows @ rows.T
-        return Normal(float(np.sum(residual**2)), slopes, informations)
+        return Normal(float(np.sum(residual**2)), slopes if exact is None else exact, informations)
 
     def white_slopes(self, values: Array, mixing: Array, *, quick: bool) -> Iterator[tuple[int, Array]]:
         """Each trial and the derivatives of what `white_rows` loses to the model, (free parameter, number)."""
@@ -263,6 +264,19 @@ class Whittle:
         for trials, derivatives in (self._quick_slopes if quick else self._slopes)(mean, mixing):
             for place, trial in enumerate(range(self.n_trials)[trials]):
                 yield trial, self._left(applied_rows(self._white, derivatives[:, place]))
+
+    def exact_slopes(self, values: Array, mixing: Array, along: Array) -> Array | None:
+        """What the derivatives that are not quick have along white rows, without the derivatives, (trial, parameter).
+
+        Args:
+          values: as for `normal`.
+          mixing: likewise.
+          along: as `white_rows`, (trial, number).
+
+        Returns:
+          The inner products; None where quick derivatives are all there are.
+        """
+        return None
 
     @property
     def sure(self) -> Array:

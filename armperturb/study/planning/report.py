@@ -14,7 +14,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from armperturb.analysis.defaults import SETTLING, WINDOW_START
 from armperturb.analysis.results import Description, Table
 from armperturb.arrays import Array
-from armperturb.files import write_csv, write_whole
+from armperturb.files import require_no_input, write_csv, write_whole
 from armperturb.perturbations import save_perturbation
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.plots.style import COLOURS, INK, PUBLISHED, figure_for, in_style, save_plot
@@ -34,6 +34,12 @@ NOISE = {"held": "as under the thesis's multisine", "follows": "follows the load
 
 LEAST_SHOWN = 1e-5
 """Power of a line over that of the strongest from which on the figure shows it [-]."""
+
+PERTURBATIONS, SETTINGS = "perturbations", "settings.json"
+"""Folder of the perturbations of a plan, and file of what it was made from."""
+
+OF_A_PLAN, LARGEST_SETTINGS = b'"factor_noise_held"', 2**16
+"""What settings of a plan hold, and how much of a file of this name is searched for it [byte]."""
 
 LONGEST = 8
 """Longest duration, and most trials, of the figure, over those that are planned [-]."""
@@ -184,19 +190,41 @@ def write_design(design: Design, folder: Path) -> None:
       folder: is made if it is not there; files of an earlier plan in it are replaced.
 
     Raises:
+      ValueError: as `earlier_perturbations`.
       OSError: a file cannot be written.
     """
-    tables, figures, perturbations = (folder / name for name in ("tables", "figures", "perturbations"))
+    old = earlier_perturbations(folder)
+    tables, figures, perturbations = (folder / name for name in ("tables", "figures", PERTURBATIONS))
     for path in (tables, figures, perturbations):
         path.mkdir(parents=True, exist_ok=True)
-    for old in perturbations.glob("trial_*.csv"):  # of a plan with more trials
-        old.unlink()
+    _write_settings(design, folder / SETTINGS)  # first: from then on, what follows is known as that of a plan
     write_csv(design.to_frame(), tables / "design.csv")
     write_csv(design.spectrum_frame(), tables / "spectrum.csv")
     write_csv(design.signal_frame(), tables / "signals.csv")
-    for number, perturbation in enumerate(design.perturbations, start=1):
-        save_perturbation(perturbation, perturbations / f"trial_{number:02d}.csv", perturbation.rate)
+    new = [perturbations / f"trial_{number:02d}.csv" for number in range(1, len(design.perturbations) + 1)]
+    for path, perturbation in zip(new, design.perturbations, strict=True):
+        save_perturbation(perturbation, path, perturbation.rate)
     save_plot(design, figures / "design.svg")
+    for path in set(old) - set(new):  # of a plan with more trials
+        require_no_input(path)
+        path.unlink()
+
+
+def earlier_perturbations(folder: Path) -> list[Path]:
+    """Perturbations of an earlier plan in a folder, which a new plan replaces.
+
+    Raises:
+      ValueError: there are some, and no plan that they are of.
+    """
+    earlier = sorted((folder / PERTURBATIONS).glob("trial_*.csv"))
+    settings = folder / SETTINGS
+    is_ours = settings.is_file() and OF_A_PLAN in settings.read_bytes()[:LARGEST_SETTINGS]
+    if earlier and not is_ours:
+        raise ValueError(f"{earlier[0]}: is of no earlier plan, as {settings} is none's; expected another folder")
+    return earlier
+
+
+def _write_settings(design: Design, path: Path) -> None:
     settings = design.settings
     asked = {**asdict(replace(settings, perturbation=None)), "model": settings.model_name()}
     if settings.perturbation is not None:
@@ -211,4 +239,4 @@ def write_design(design: Design, folder: Path) -> None:
         "factor_noise_follows": design.factors["follows"],
         "excess": design.excess,
     }
-    write_whole(folder / "settings.json", json.dumps(made, indent=1, ensure_ascii=False) + "\n")
+    write_whole(path, json.dumps(made, indent=1, ensure_ascii=False) + "\n")

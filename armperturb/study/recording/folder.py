@@ -29,6 +29,12 @@ from armperturb.files import checksum, sync, write_whole
 MANIFEST = "manifest.json"
 RECORDINGS = "recordings"
 SUMS = "SHA256SUMS"
+ANALYSIS = "analysis"
+"""Folder of kept results, see `results.cache`."""
+
+RESULTS = (ANALYSIS, "tables", "figures", "score")
+"""Folders of what an analysis and a report write."""
+
 LOCK = ".lock"
 STAGING = ".staging"
 HOLDER = "run"
@@ -184,6 +190,17 @@ def find_recordings(root: Path) -> tuple[list[Path], list[str]]:
     if not whole:
         raise ValueError(f"{root}: no recording matches its checksum; expected one that does")
     return whole, remarks
+
+
+def require_own_results(root: Path) -> None:
+    """Refuse a study whose folders of results are links: what is replaced or removed there would lie elsewhere.
+
+    Raises:
+      ValueError: one is.
+    """
+    for name in RESULTS:
+        if (root / name).is_symlink():
+            raise ValueError(f"{root / name}: is a link; expected a folder of this study, or none")
 
 
 def kept_manifest(root: Path) -> dict[str, Any] | None:

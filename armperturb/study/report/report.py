@@ -15,6 +15,7 @@ from armperturb.study.comparison.effects import effects
 from armperturb.study.comparison.score import score, write_score
 from armperturb.study.experiments.mechanisms import Yielding, has_law, why_people_yield
 from armperturb.study.experiments.moving_shoulder import MovingShoulder, moving_shoulder
+from armperturb.study.recording.folder import require_own_results
 from armperturb.study.recording.record import worker_count
 from armperturb.study.report.emg import emg_drawings, emg_of, emg_rows
 from armperturb.study.report.figures.catalogue import drawings
@@ -68,6 +69,7 @@ def write_report(
       RuntimeError: workers die again and again.
     """
     require_workers("report", workers)
+    require_own_results(out)
     rows = write_tables(study, out / "tables")
     tested = effects(study)
     # Without a condition of the published tables there is nothing to compare.

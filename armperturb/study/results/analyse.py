@@ -18,7 +18,7 @@ from armperturb.files import checksum
 from armperturb.progress import Progress
 from armperturb.recording_files import load_recording
 from armperturb.study.protocol import THESIS, Protocol
-from armperturb.study.recording.folder import RECORDINGS, find_recordings
+from armperturb.study.recording.folder import RECORDINGS, find_recordings, require_own_results
 from armperturb.study.recording.manifest import Manifest, current_versions, read_manifest
 from armperturb.study.recording.record import record_study, worker_count
 from armperturb.study.recording.settings import BLOCK, StudySettings
@@ -89,12 +89,13 @@ def analyse_study(
 
     Raises:
       TypeError: workers is no number.
-      ValueError: workers is below 1, no recording is whole, one is refused or not of one person, or without a manifest
-        none is of the thesis's conditions.
+      ValueError: workers is below 1, a folder of results is a link, no recording is whole, one is refused or not of one
+        person, or without a manifest none is of the thesis's conditions.
       RuntimeError: workers die again and again.
       OSError: the folder holds no recording, or a file cannot be read.
     """
     require_workers("analysis", workers)
+    require_own_results(root)
     study, missing = _Study.find(root, settings or AnalysisSettings())
     with workers_for(worker_count(workers, len(study.paths)), None) as pool:
         with Progress("analysis", total=2 * len(study.paths), unit="steps", show=show_progress) as bar:

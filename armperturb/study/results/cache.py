@@ -28,15 +28,13 @@ from typing import Any, Generic, TypeVar
 
 from armperturb.archive import read_archive, write_archive
 from armperturb.progress import Progress
-from armperturb.study.recording.folder import differences
+from armperturb.study.recording.folder import ANALYSIS as ANALYSIS
+from armperturb.study.recording.folder import differences, require_own_results
 from armperturb.workers import Workers, completed
 
 LOG = logging.getLogger(__name__)
 
 Result = TypeVar("Result")
-
-ANALYSIS = "analysis"
-"""Folder of the files, inside the study folder."""
 
 VERSIONS = {
     "person": 1,
@@ -83,9 +81,11 @@ def forget_results(root: Path, nonlinear: Collection[str] = ()) -> None:
     """Remove what a study folder has kept, so that it is computed anew; nonlinear fits only of the tasks named.
 
     Raises:
+      ValueError: as `require_own_results`.
       OSError: a file cannot be removed.
     """
-    for path in (root / ANALYSIS).glob("*.gz"):
+    require_own_results(root)
+    for path in (root / ANALYSIS).glob("*.json.gz"):
         if "-nonlinear-" not in path.name or any(f"-nonlinear-{task}" in path.name for task in nonlinear):
             path.unlink()
 

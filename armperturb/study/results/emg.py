@@ -139,7 +139,8 @@ def person_emg(name: str, path: Path, shown: Condition | None = None) -> PersonE
     except ValueError as error:
         return PersonEmg(name=name, remarks=(f"{name}: {error}",))
     of_muscles = activity(amplitudes)
-    by_condition = trials_by_condition(recording, is_checked=True)
+    # Cut without the EMG, of which copies take long.
+    by_condition = trials_by_condition(recording.drop_vars("emg"), is_checked=True)
     responses = []
     for label, trials in by_condition.items():
         if label in (MAXIMAL, REST):

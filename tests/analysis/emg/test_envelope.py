@@ -5,6 +5,7 @@ import pytest
 from invented_emg import EMG_RATE, PAIR, RATE, noise, recorded
 from scipy import signal
 
+from armperturb.analysis.emg import whitening
 from armperturb.analysis.emg.envelope import envelopes
 from armperturb.recording import Action
 
@@ -38,6 +39,24 @@ def test_variance_of_an_amplitude_is_at_the_bound_for_the_bandwidth(modulated):
     assert 0.85 < variance / bound < 1.15
     assert result.relative_variance(0.1).mean() == pytest.approx(variance, rel=0.15)
     assert error < 5.0 * np.sqrt(bound / 10)
+
+
+def test_a_long_trial_is_filtered_in_parts_to_the_same_amplitudes(monkeypatch):
+    n = 16 * N
+    hum = 2.0 * np.sin(2 * np.pi * 50.0 * np.arange(n) / EMG_RATE)
+    volts = 0.3 * noise((1, 2, n)) + np.stack([hum, np.zeros(n)])[None]
+    recording = recorded(volts, ["RT7.5"])
+    whole = envelopes(recording)
+    monkeypatch.setattr(whitening, "LONGEST_PART", 5 * N)
+    parts = envelopes(recording)
+    assert list(parts.hum) == list(whole.hum) == ["flexor"]
+    assert parts.remarks == whole.remarks
+    smooth = np.ones(20) / 20.0
+    for column in range(2):  # nothing is left of hum where parts meet
+        a, b = (np.convolve(each.power[0, 200:-200, column], smooth, "valid") for each in (parts, whole))
+        assert np.abs(a / b - 1.0).max() < 0.05
+    # Of the channel that hums, the number depends on how far the hum leaks beside its notch.
+    assert parts.samples_per_second[1] == pytest.approx(whole.samples_per_second[1], rel=0.02)
 
 
 def test_without_whitening_it_is_several_times_as_large(modulated):

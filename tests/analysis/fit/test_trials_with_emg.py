@@ -57,6 +57,19 @@ def test_slope_is_that_of_the_cost(groups):
 
 
 @pytest.mark.slow(reason="simulates four trials with EMG")
+def test_slopes_of_long_records_are_those_of_the_derivatives(groups, monkeypatch):
+    problem = JointLikelihood([groups[1]], "record", ())
+    values = problem.stabilised(problem.initial({"kp_s": 20.0, "Td_e": 0.04}))
+    problem.weigh(values)
+    slope = problem.normal(values).slope
+    monkeypatch.setattr("armperturb.analysis.fit.whittle.LONGEST_RUN", 100)
+    assert problem.is_long
+    np.testing.assert_allclose(problem.normal(values).slope, slope, rtol=0, atol=1e-8 * np.abs(slope).max())
+    problem.quick = True
+    assert np.abs(problem.normal(values).slope - slope).max() > 1e-4 * np.abs(slope).max()
+
+
+@pytest.mark.slow(reason="simulates four trials with EMG")
 def test_noise_that_shows_is_no_lack_of_fit_and_tells_of_the_arm(groups, monkeypatch):
     fit = estimate([groups[1]])
     assert fit.p_value > 0.01

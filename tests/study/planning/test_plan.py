@@ -1,6 +1,7 @@
 """Experiment design: information against time series and simulated records, optimum against certificates and rivals."""
 
 import csv
+import errno
 import json
 from dataclasses import replace
 
@@ -37,6 +38,7 @@ from armperturb.study.planning.plan import (
     noise_levels,
     proposed_signal,
 )
+from armperturb.study.planning.report import write_design
 from armperturb.study.validation.validate import ValidateSettings
 from armperturb.subject import POSITION, RELAX
 
@@ -434,6 +436,7 @@ def test_the_command_writes_what_simulate_plays(tmp_path, capsys):
     out = tmp_path / "plan"
     (out / "perturbations").mkdir(parents=True)
     (out / "perturbations" / "trial_09.csv").write_text("of an earlier plan")
+    (out / "settings.json").write_text('{"factor_noise_held": 1.0}')
     save_perturbation(Multisine.draw(seed=0, rms=2.0, crested=False), tmp_path / "own.csv", 200.0)
     own = ["--perturbation", str(tmp_path / "own.csv")]
     assert cli.main(["design", *arguments, *own, "--trials", "2", "--out", str(out)]) == 0
@@ -454,6 +457,32 @@ def test_the_command_writes_what_simulate_plays(tmp_path, capsys):
     assert sorted(path.name for path in (out / "perturbations").iterdir()) == ["trial_01.csv", "trial_02.csv"]
     played = load_perturbation(out / "perturbations" / "trial_01.csv")
     assert np.sqrt(np.mean(played.force[:PERIOD_SAMPLES] ** 2, axis=0)).max() <= 5.4 * (1 + 1e-9)
+
+
+def test_perturbations_of_somebody_else_are_neither_replaced_nor_removed(tmp_path, capsys):
+    own = tmp_path / "perturbations" / "trial_01.csv"
+    own.parent.mkdir()
+    own.write_text("of an experiment")
+    (tmp_path / "settings.json").write_text("{}")
+    POSITION.save(tmp_path / "person.toml")
+    options = ["--subject", str(tmp_path / "person.toml"), *LIMIT_OPTIONS, "--goal", "reflex"]
+    assert cli.main(["design", *options, "--out", str(tmp_path)]) == 1
+    assert "trial_01.csv: is of no earlier plan" in capsys.readouterr().err
+    assert own.read_text() == "of an experiment"
+
+
+def test_a_plan_that_fails_leaves_that_of_before(tmp_path, plan, monkeypatch):
+    write_design(plan, tmp_path)
+    more = tmp_path / "perturbations" / "trial_99.csv"
+    more.write_text("of a plan with more trials")
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("armperturb.study.planning.report.save_plot", full)
+    with pytest.raises(OSError, match="No space"):
+        write_design(plan, tmp_path)
+    assert more.exists()
 
 
 def test_a_plan_reads_as_a_table_and_plots(plan):

@@ -9,8 +9,10 @@ import sys
 
 import pytest
 
+from armperturb import cli
 from armperturb.files import checksum
 from armperturb.study.recording.folder import open_study
+from armperturb.study.results.cache import forget_results
 
 MANIFEST = {"subjects": 2, "seed": 0, "protocol": {"forces": "practice", "conditions": [{"name": "A", "levels": [1]}]}}
 
@@ -164,6 +166,29 @@ def test_the_lock_is_no_link_to_somewhere_else(tmp_path):
     assert target.read_text() == "mine"
 
 
+@pytest.mark.parametrize("name", ["analysis", "tables", "figures", "score"])
+def test_folders_of_results_are_no_links_to_somewhere_else(tmp_path, name, capsys):
+    elsewhere, root = tmp_path / "mine", tmp_path / "s"
+    for folder in (elsewhere, root / "recordings"):
+        folder.mkdir(parents=True)
+    kept = elsewhere / "backup.json.gz"
+    kept.write_text("mine")
+    (root / name).symlink_to(elsewhere)
+    for command in (["report"], ["report", "--fresh"], ["score"], ["score", "--fresh"]):
+        assert cli.main([command[0], str(root), *command[1:]]) == 1
+        assert f"{name}: is a link" in capsys.readouterr().err
+    assert kept.read_text() == "mine"
+
+
+def test_only_kept_results_are_forgotten(tmp_path):
+    names = ["S01.json.gz", "backup.tar.gz"]
+    (tmp_path / "analysis").mkdir()
+    for name in names:
+        (tmp_path / "analysis" / name).write_text("mine")
+    forget_results(tmp_path)
+    assert [path.name for path in (tmp_path / "analysis").iterdir()] == names[1:]
+
+
 def test_half_written_files_of_a_killed_run_go(tmp_path):
     with open_study(tmp_path, MANIFEST) as folder:
         keep(folder, "S01", b"one")
@@ -190,6 +215,7 @@ HOLDER = """
 import json, sys, time
 from pathlib import Path
 from armperturb.study.recording.folder import open_study
+from armperturb.study.results.cache import forget_results
 with open_study(Path(sys.argv[1]), json.loads(sys.argv[2])):
     print("holding", flush=True)
     time.sleep(60)
