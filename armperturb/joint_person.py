@@ -11,6 +11,7 @@ The presets are round numbers of the expected size, and nobody's: what follows f
   Brain Res. 86); elbow, Bennett, Hollerbach, Xu & Hunter (1992, Exp. Brain Res. 88).
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
@@ -84,6 +85,11 @@ class JointPerson(PersonInFile):
         timing = {"Td_s": self.delay, "Td_e": self.delay, "fact_s": self.cutoff, "fact_e": self.cutoff}
         body = {"m_h": 1.0, "m_f": 1.0, "b_h": 1.0, "k_h": 1.0, "theta_s_deg": 0.0, "zeta_act": self.zeta}
         return Subject(task="PT", name=self.joint, muscle=muscle, **values, **others, **timing, **body)
+
+    @property
+    def natural_frequency(self) -> float:
+        """At which intrinsic stiffness and inertia need the same torque [Hz]."""
+        return math.sqrt(self.stiffness / self.inertia) / math.tau
 
     def at_level(self, level: float) -> Self:
         """The person at another level of contraction: torques in proportion, thresholds of spindles moved.

@@ -6,7 +6,8 @@ one, on a position and on a force servo, 60 s each with noise of 10 to 20 dB. Th
 `tests/one_joint.py`. Beside each median error stands the one that the standard errors let expect. With `--given` the
 structure is that of the person, and intervals are those of standard errors, which takes a fifth of the time. `--bound`
 prints instead what the Cramer-Rao bound lets expect, at the true parameters and with noise of a free spectrum, without
-identifying anybody. `response` is judged on the same people.
+identifying anybody; `--bandwidth` asks what a narrower or wider movement would let expect. `response` is judged on the
+same people.
 """
 
 import argparse
@@ -17,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
+from scipy import optimize, stats
 
 from armperturb.analysis.joint.estimate import estimate_joint
 from armperturb.analysis.joint.identify import identify_joint
@@ -36,8 +38,13 @@ TARGETS = {
 
 REFLEXES = ("half-wave", "linear", "none")
 
-QUARTILE = 0.6745
-"""Median of the modulus of a standard normal variable [-]."""
+
+def expected(standard_errors: Iterable[float]) -> float:
+    """Median error that normal errors with these standard errors let expect; `nan` of none."""
+    each = np.array([error for error in standard_errors if np.isfinite(error)])
+    if not len(each):
+        return float("nan")
+    return float(optimize.brentq(lambda at: np.mean(2.0 * stats.norm.cdf(at / each) - 1.0) - 0.5, 0.0, each.max()))
 
 
 def bounds(person: one_joint.Joint, recording: xr.Dataset) -> dict[str, float]:
@@ -58,26 +65,29 @@ def bounds(person: one_joint.Joint, recording: xr.Dataset) -> dict[str, float]:
     return dict(zip(structure.parameters, np.sqrt(np.diag(inverse)) / size, strict=True))
 
 
-def print_bounds(people: int, servos: list[str], first: int) -> None:
+def print_bounds(people: int, servos: list[str], first: int, bandwidth: float) -> None:
     """Print the median error that the bound lets expect of each parameter."""
     for servo in servos:
         least: dict[str, list[float]] = {name: [] for name in TARGETS}
         for number in range(first, first + people):
             for reflex in REFLEXES:
-                person, recording = made(number, reflex, servo)
+                person, recording = made(number, reflex, servo, bandwidth)
                 for name, error in bounds(person, recording).items():
                     if name in TARGETS:
-                        least[name].append(unit_of(name, person) * QUARTILE * error)
-        each = ", ".join(f"{name} {np.median(errors):.2f}" for name, errors in least.items())
+                        least[name].append(unit_of(name, person) * error)
+        each = ", ".join(f"{name} {expected(errors):.2f}" for name, errors in least.items())
         print(f"{servo} servo, {people} people of each kind: the Cramer-Rao bound lets expect {each}", flush=True)
 
 
-def made(number: int, reflex: str, servo: str) -> tuple[one_joint.Joint, xr.Dataset]:
-    """A person and a recording."""
+def made(
+    number: int, reflex: str, servo: str, bandwidth: float = one_joint.BANDWIDTH
+) -> tuple[one_joint.Joint, xr.Dataset]:
+    """A person and a recording, with movement and noise of their own."""
     name = list(one_joint.JOINTS)[number % 3]
-    person = one_joint.person(name, 100 + number, reflex)
-    decibel = float(np.random.default_rng(number).uniform(10.0, 20.0))
-    return person, one_joint.recording(person, number, servo, decibel=decibel, name=name)
+    seed = len(REFLEXES) * number + REFLEXES.index(reflex)
+    person = one_joint.person(name, 100 + seed, reflex)
+    decibel = float(np.random.default_rng(seed).uniform(10.0, 20.0))
+    return person, one_joint.recording(person, seed, servo, decibel=decibel, name=name, bandwidth=bandwidth)
 
 
 def unit_of(parameter: str, person: one_joint.Joint) -> float:
@@ -144,11 +154,11 @@ def main(options: argparse.Namespace) -> None:
         for name, target in TARGETS.items():
             of_name = np.array([row["values"][name] for row in rows if name in row["values"]], dtype=float)
             unit = "ms" if name == "reflex_delay" else "%"
-            error, expected, is_inside = of_name.T
+            error, standard_error, is_inside = of_name.T
             print(
                 f"  {name}: median error {np.median(np.abs(error)):.2f} {unit} (target {target:g}, standard errors let "
-                f"expect {QUARTILE * np.nanmedian(expected):.2f}), mean {error.mean():+.2f} {unit}, RMS of error over "
-                f"standard error {np.sqrt(np.nanmean((error / expected) ** 2)):.2f}, "
+                f"expect {expected(standard_error):.2f}), mean {error.mean():+.2f} {unit}, RMS of error over "
+                f"standard error {np.sqrt(np.nanmean((error / standard_error) ** 2)):.2f}, "
                 f"intervals hold {100 * is_inside.mean():.1f} % of {len(error)}"
             )
         held = [inside for row in rows for _, _, inside in row["values"].values()]
@@ -176,10 +186,16 @@ if __name__ == "__main__":
     parser.add_argument("servos", nargs="*", default=["position", "force"])
     parser.add_argument("--seed", type=int, default=0, help="of the first person")
     parser.add_argument("--bound", action="store_true", help="print only what the Cramer-Rao bound lets expect")
+    parser.add_argument(
+        "--bandwidth",
+        type=float,
+        default=one_joint.BANDWIDTH,
+        help="with --bound: of the imposed movement, over the natural frequency",
+    )
     parser.add_argument("--given", action="store_true", help="give the structure; intervals are of standard errors")
     parser.add_argument("--kept", type=Path, default=None, help="file of rows; a run that was stopped goes on")
     options = parser.parse_args()
     if options.bound:
-        print_bounds(options.people, options.servos, options.seed)
+        print_bounds(options.people, options.servos, options.seed, options.bandwidth)
     else:
         main(options)

@@ -12,6 +12,8 @@ from scipy import signal
 from armperturb.recording import make_recording
 
 RATE = 1000
+BANDWIDTH = 2.0**0.5
+"""Of an imposed movement, over the natural frequency of a joint."""
 FINE = 8
 """Instants in a sample at which the torques on a force servo are known: half steps of RK4."""
 
@@ -27,17 +29,23 @@ class Joint:
     reflex_damping_ratio: float = 1.0
     reflex_threshold: float = 0.0  # rad/s
     reflex: str = "half-wave"
-    rms: float = 0.015  # of the imposed angle, rad
+    speed: float = 0.28  # RMS velocity that the perturbation causes, rad/s
     side: int = 1
 
 
 JOINTS = {
     "ankle": Joint(inertia=0.016, damping=0.8, stiffness=60.0, reflex_gain=8.0, reflex_delay=0.042),
     "wrist": Joint(
-        inertia=0.004, damping=0.06, stiffness=3.5, reflex_gain=0.25, reflex_delay=0.032, reflex_frequency=3.0, rms=0.03
+        inertia=0.004,
+        damping=0.06,
+        stiffness=3.5,
+        reflex_gain=0.25,
+        reflex_delay=0.032,
+        reflex_frequency=3.0,
+        speed=0.57,
     ),
     "elbow": Joint(
-        inertia=0.08, damping=1.2, stiffness=35.0, reflex_gain=3.5, reflex_delay=0.028, rms=0.025, reflex_frequency=2.5
+        inertia=0.08, damping=1.2, stiffness=35.0, reflex_gain=3.5, reflex_delay=0.028, speed=0.47, reflex_frequency=2.5
     ),
 }
 
@@ -49,8 +57,7 @@ def person(name, seed, reflex="half-wave"):
     varied = {each: getattr(base, each) * factor[each] for each in factor}
     varied["reflex_delay"] = base.reflex_delay + 0.005 * rng.normal()
     varied["reflex_frequency"] = base.reflex_frequency * np.exp(0.15 * rng.normal())
-    speed = base.rms * 2 * np.pi * 2.0
-    varied["reflex_threshold"] = speed * rng.uniform(0.3, 0.9) if reflex == "half-wave" else 0.0
+    varied["reflex_threshold"] = base.speed * rng.uniform(0.2, 0.6) if reflex == "half-wave" else 0.0
     if reflex == "none":
         varied["reflex_gain"] = 0.0
     if reflex == "linear":
@@ -71,15 +78,23 @@ def coloured(rng, n, low, high, white=0.02):
     return noise / noise.std() + white * rng.normal(size=n)
 
 
-def smooth_random(rng, n, corner):
-    """Band-limited random movement with its exact derivatives at double rate, for RK4's half steps."""
+def natural_frequency(joint):
+    """Of the intrinsic path without damping [Hz]."""
+    return float(np.sqrt(joint.stiffness / joint.inertia) / (2 * np.pi))
+
+
+def smooth_random(rng, n, corner, order):
+    """Random movement of RMS velocity one with its exact derivatives at double rate, for RK4's half steps.
+
+    It is Gaussian, below 55 Hz, with the power of a Butterworth low-pass.
+    """
     m = 2 * n
     frequency = np.fft.rfftfreq(m, 0.5 / RATE)
-    amplitude = 1.0 / np.sqrt(1 + (frequency / corner) ** 4) * (frequency > 0.05) * (frequency < 55)
+    amplitude = 1.0 / np.sqrt(1 + (frequency / corner) ** (2 * order)) * (frequency > 0.05) * (frequency < 55)
     spectrum = amplitude * (rng.normal(size=len(frequency)) + 1j * rng.normal(size=len(frequency)))
     s = 2j * np.pi * frequency
     x, v, a = (np.fft.irfft(spectrum * s**k, m) for k in (0, 1, 2))
-    return x / x.std(), v / x.std(), a / x.std()
+    return x / v.std(), v / v.std(), a / v.std()
 
 
 @njit(cache=False)
@@ -157,7 +172,12 @@ def _closed_loop(load, noise, env, joint, dt, halfwave, side):
     return angle, torque
 
 
-def recording(joint, seed, servo="position", *, duration=60.0, decibel=15.0, name="ankle"):
+def recording(joint, seed, servo="position", *, duration=60.0, decibel=15.0, name="ankle", bandwidth=BANDWIDTH):
+    """A trial. A position servo moves the joint up to `bandwidth` times the natural frequency of joints of its name.
+
+    Up to the root of two of that no movement needs more torque than the stiffness alone takes of a slow one, and noise
+    is in proportion to the torque.
+    """
     rng = np.random.default_rng([seed, 7])
     n = round(duration * RATE)
     lead = 5 * RATE
@@ -167,7 +187,8 @@ def recording(joint, seed, servo="position", *, duration=60.0, decibel=15.0, nam
     wn, halfwave = 2 * np.pi * joint.reflex_frequency, joint.reflex == "half-wave"
     noise = coloured(rng, n + lead, 0.2, 3.0)
     if servo == "position":
-        x, v, a = (joint.rms * each for each in smooth_random(rng, n + lead, 3.0))
+        corner = bandwidth * natural_frequency(JOINTS[name])
+        x, v, a = (joint.speed * each for each in smooth_random(rng, n + lead, corner, 4))
         drive = joint.side * np.maximum(joint.side * v - joint.reflex_threshold, 0.0) if halfwave else v
         reflex = _reflex_torque(
             drive, joint.reflex_delay, joint.reflex_gain, wn, joint.reflex_damping_ratio, 1.0 / RATE
@@ -177,7 +198,7 @@ def recording(joint, seed, servo="position", *, duration=60.0, decibel=15.0, nam
         signals = {"displacement": x[::2][lead:], "force": torque + 3.0}
     else:
         env = (0.25 * joint.inertia, 0.3 * joint.damping, 0.1 * joint.stiffness)
-        load = smooth_random(rng, n + lead, 6.0)[0][::2]
+        load = smooth_random(rng, n + lead, 15.0, 2)[0][::2]
         parameters = (
             joint.inertia, joint.damping, joint.stiffness, joint.reflex_gain, joint.reflex_delay, wn,
             joint.reflex_damping_ratio, joint.reflex_threshold,
@@ -186,12 +207,15 @@ def recording(joint, seed, servo="position", *, duration=60.0, decibel=15.0, nam
         def run(load, noise):
             return _closed_loop(load, noise, env, parameters, 1.0 / RATE, halfwave, joint.side)
 
+        def speed_of(angle):
+            return np.std(np.gradient(angle, 1.0 / RATE))
+
         # With what is linear between samples, the torque would hold an acceleration that the sampled angle lacks: 0.8 %
         # of it at 50 Hz, and inertia would come out too large by 0.2 %.
         load, noise = (signal.resample(each, FINE * len(each)) for each in (load, noise))
-        load *= joint.rms / run(load, 0 * load)[0].std()
+        load *= joint.speed / speed_of(run(load, 0 * load)[0])
         for _ in range(2):  # a threshold makes the size matter
-            load *= joint.rms / run(load, 0 * load)[0].std()
+            load *= joint.speed / speed_of(run(load, 0 * load)[0])
         clean, alone = run(load, 0 * load)[0], run(0 * load, noise)[0]
         noise *= clean.std() / alone.std() * 10 ** (-decibel / 20)
         angle, torque = run(load, noise)

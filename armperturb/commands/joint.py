@@ -30,8 +30,8 @@ class Joint(Command):
     trials: int = 1
     """How many trials, each with a perturbation and noise of its own."""
     size: float | None = None
-    """Range of the steps of a position servo [rad], or RMS torque of a force servo [Nm]; by default 0.03 rad, or what
-    moves the joint's intrinsic stiffness by 0.03 rad."""
+    """RMS velocity that a position servo imposes [rad/s], or RMS torque of a force servo [Nm]; by default 0.34 rad/s,
+    or what moves the joint's intrinsic stiffness by 0.03 rad."""
     signal_to_noise: float | None = None
     """Power of the response to the perturbation over that of the person's noise [dB], on a position servo of torques,
     on a force servo of angles; by default no noise."""
@@ -46,7 +46,7 @@ class Joint(Command):
         """Simulate the trials and write the recording."""
         from armperturb.envs.lab.joint_experiment import JointTrial, at_signal_to_noise, run_joint_experiment
         from armperturb.joint_person import JOINT_PEOPLE, JointPerson, half_wave, servo_of
-        from armperturb.perturbations.one_axis import random_noise, random_steps
+        from armperturb.perturbations.one_axis import RECORDED_SPEED, imposed_movement, random_noise
         from armperturb.recording_files import save_recording
         from armperturb.validation import require_one_of
 
@@ -68,8 +68,14 @@ class Joint(Command):
         for i in range(self.trials):
             seed = 1000 * self.seed + i
             if self.servo == "position":
-                size = 0.03 if self.size is None else self.size
-                perturbation = random_steps(size=size, seed=seed, duration=self.duration, rate=self.rate)
+                speed = RECORDED_SPEED if self.size is None else self.size
+                perturbation = imposed_movement(
+                    speed=speed,
+                    seed=seed,
+                    duration=self.duration,
+                    rate=self.rate,
+                    natural_frequency=person.natural_frequency,
+                )
             else:
                 rms = 0.03 * person.stiffness if self.size is None else self.size
                 perturbation = random_noise(rms=rms, seed=seed, duration=self.duration, rate=self.rate)

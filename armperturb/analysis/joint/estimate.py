@@ -169,7 +169,8 @@ def likelihood_profile(
         values = start.copy()
         values[place] = at
         values = _minimised(likelihood, values, longest_delay, others)
-        return values, float(np.sum(likelihood.output_rows(values, likelihood.movement(values)) ** 2))
+        left = likelihood.output_rows(values, likelihood.movement(values)) * likelihood.sure
+        return values, float(np.sum(left**2))
 
     estimate, error = float(fit.values[place]), float(np.sqrt(fit.covariance[place, place]))
     centre, least = fitted(estimate, fit.values)
@@ -225,13 +226,20 @@ def _linear(
 
 
 def _covariance(likelihood: JointLikelihood, values: Array, free: NDArray[np.bool_]) -> Array:
-    """Covariance of the errors of free parameters: of least squares, or of the equations of instruments."""
-    instruments = likelihood.derivatives(values, likelihood.movement(values))[free].reshape(int(free.sum()), -1)
+    """Covariance of the errors of free parameters: of least squares, or of the equations of instruments.
+
+    Either counts that the noise is estimated from the same trials, see `fit.whittle`.
+    """
+
+    def columns_at(movement: JointSignals) -> Array:
+        rows = likelihood.derivatives(values, movement)[free] * likelihood.sure
+        return np.asarray(rows.reshape(int(free.sum()), -1))
+
+    instruments = columns_at(likelihood.movement(values))
     information = instruments @ instruments.T
     if likelihood.signals.servo == "position":
         return np.asarray(np.linalg.pinv(information, hermitian=True))
-    columns = likelihood.derivatives(values, likelihood.signals)[free].reshape(int(free.sum()), -1)
-    scale = _sizes(instruments)
+    columns, scale = columns_at(likelihood.signals), _sizes(instruments)
     inverse = np.linalg.pinv((instruments @ columns.T) / np.outer(scale, scale)) / np.outer(scale, scale)
     return np.asarray(inverse @ information @ inverse.T)
 

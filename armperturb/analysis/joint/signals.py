@@ -75,7 +75,12 @@ class JointSignals:
 
 
 def joint_signals(
-    recording: xr.Dataset, *, reference: float | None = None, settle: float = SETTLE, shortest: float = SHORTEST
+    recording: xr.Dataset,
+    *,
+    reference: float | None = None,
+    settle: float = SETTLE,
+    shortest: float = SHORTEST,
+    top: float = TOP,
 ) -> JointSignals:
     """Band-limited signals of a recording of one axis.
 
@@ -84,6 +89,7 @@ def joint_signals(
       reference: angle from which angles count [rad, or m]; None for their mean.
       settle: what is left out at the start of each trial [s].
       shortest: record that is taken [s].
+      top: highest frequency that is kept [Hz].
 
     Raises:
       ValueError: the recording is refused, not of one axis, too short, or sampled too slowly.
@@ -96,8 +102,8 @@ def joint_signals(
         raise ValueError(f"recording: duration = {n / rate:.3g} s; expected at least {shortest:g} s")
     if rate < 50.0:
         raise ValueError(f"recording: rate = {rate:g} Hz; expected at least 50 Hz")
-    step = max(int(rate / RATE), 1)
-    top = min(TOP, 0.3 * rate)
+    step = max(int(rate / (RATE * top / TOP)), 1)
+    top = min(top, 0.3 * rate)
     s = 2j * np.pi * fft.rfftfreq(2 * n, 1.0 / rate)
     keep = 0.5 - 0.5 * np.cos(np.pi * np.clip((1.15 * top - np.abs(s) / (2 * np.pi)) / (0.3 * top), 0.0, 1.0))
 

@@ -11,14 +11,14 @@ from scipy import fft, signal
 
 from armperturb.analysis.fit.frequency_rows import applied_rows, orthonormal
 from armperturb.analysis.fit.whittle import Whittle
-from armperturb.analysis.joint.signals import JointSignals, time_blocks
+from armperturb.analysis.joint.signals import TOP, JointSignals, time_blocks
 from armperturb.arrays import Array, ComplexArray
 
 LOWEST = 0.05
 """Lowest frequency that counts [Hz]: below, people drift."""
 
 SHARE = 0.85
-"""Highest frequency that counts, over that of the signals [-]."""
+"""Highest frequency that counts, over that of the signals, or over `TOP` where they hold more [-]."""
 
 
 class BlockScore(NamedTuple):
@@ -51,7 +51,7 @@ class TorqueLikelihood(Whittle):
         n = used.stop - used.start
         self._taper = signal.windows.tukey(n, min(1.0, tapered * signals.rate / n), sym=False)
         frequency = fft.rfftfreq(n, 1.0 / signals.rate)
-        self._lines = (frequency >= LOWEST) & (frequency <= SHARE * signals.top)
+        self._lines = (frequency >= LOWEST) & (frequency <= SHARE * min(signals.top, TOP))
         self.frequency = frequency[self._lines]
         ones = np.ones(len(self.frequency), dtype=complex)
         super().__init__(

@@ -26,7 +26,7 @@ from armperturb.analysis.fit.likelihood_search import search_from
 from armperturb.analysis.fit.whittle import Normal
 from armperturb.analysis.joint.model import DYNAMICS, REFLEXES, JointStructure, Reflex
 from armperturb.analysis.joint.prediction import explained
-from armperturb.analysis.joint.signals import JointSignals, joint_signals, mean_angle
+from armperturb.analysis.joint.signals import TOP, JointSignals, joint_signals, mean_angle
 from armperturb.analysis.joint.torque_likelihood import BlockScore
 from armperturb.analysis.varying.likelihood import STRETCH, VaryingLikelihood
 from armperturb.analysis.varying.model import DEGREE, VaryingModel, finer
@@ -49,6 +49,10 @@ FIRST: Mapping[str, int] = {"time": 7, "scheduling": 4}
 
 STATIC = 8
 """Splines of the static torque over a scheduling variable."""
+
+FASTEST = 100.0
+"""Frequency up to which the movement of an ensemble is kept [Hz]: without what is fast in the velocity of a step, the
+half-wave of a reflex is another, which stiffness makes up for."""
 
 SETTLE = 0.3
 """What is left out at the start of each repetition, whose reflexes answer to what was before it [s]."""
@@ -195,7 +199,8 @@ def _recorded(recording: xr.Dataset, ensemble: bool, reference: float) -> tuple[
         raise ValueError("recording: no scheduling signal; expected one (signals.scheduling of the sidecar)")
     if np.ptp(recording["displacement"].values, axis=1).min() == 0.0:
         raise ValueError("recording: the angle of a trial is constant; expected a perturbation")
-    signals = joint_signals(recording, reference=reference, settle=SETTLE, shortest=SHORTEST)
+    top = FASTEST if ensemble else TOP
+    signals = joint_signals(recording, reference=reference, settle=SETTLE, shortest=SHORTEST, top=top)
     if signals.scheduling is not None and not ensemble:
         return signals, signals.scheduling
     time = float(recording["time"].values[0]) + np.arange(signals.angle.shape[1]) / signals.rate

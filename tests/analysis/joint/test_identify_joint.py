@@ -11,7 +11,7 @@ from armperturb.analysis.joint.estimate import Profile, estimate_joint
 from armperturb.analysis.joint.export import joint_summary, write_joint
 from armperturb.analysis.joint.identify import identify_joint
 from armperturb.analysis.joint.intrinsic import check_intrinsic
-from armperturb.analysis.joint.likelihood import environment_of
+from armperturb.analysis.joint.likelihood import JointLikelihood, environment_of
 from armperturb.analysis.joint.model import JointModel, JointStructure
 from armperturb.analysis.joint.signals import joint_signals
 from armperturb.analysis.page.joint_page import joint_verdict, write_joint_page
@@ -49,6 +49,16 @@ def test_derivatives_are_those_of_differences(recording, reflex):
         up, down = (model.torque(values + sign * step * np.eye(len(values))[place]) for sign in (1, -1))
         error = np.abs((up - down) / (2 * step) - exact).max() / np.abs(exact).max()
         assert error < 1e-4, name
+
+
+def test_errors_count_that_the_noise_is_estimated(recording):
+    signals, structure = joint_signals(recording.isel(time=slice(0, 5000))), JointStructure(reflex="none")
+    fit, likelihood = estimate_joint(structure, signals), JointLikelihood(structure, signals)
+    for _ in range(4):  # offset and drift are taken out with the noise as last weighed
+        likelihood.weigh(fit.values)
+    known, left = likelihood.informations(fit.values, np.eye(3))
+    np.testing.assert_allclose(np.diag(fit.covariance), np.diag(np.linalg.inv(left)), rtol=1e-3)
+    assert np.all(np.diag(fit.covariance) > 1.01 * np.diag(np.linalg.inv(known)))
 
 
 @pytest.mark.slow(reason="a search by maximum likelihood of four structures")

@@ -7,11 +7,14 @@ import pytest
 from scipy import signal
 from scipy.interpolate import CubicSpline
 
+from armperturb.analysis.joint.model import JointModel, JointStructure
+from armperturb.analysis.joint.signals import TOP, joint_signals
+from armperturb.analysis.varying.estimate import FASTEST
 from armperturb.anthropometry import anthropometric_body
 from armperturb.envs.lab.joint_experiment import JointTrial, at_signal_to_noise, run_joint_experiment
 from armperturb.joint_person import JOINT_PEOPLE, JointPerson, half_wave, servo_of
 from armperturb.muscle_law import MuscleLaw
-from armperturb.perturbations.one_axis import random_noise, random_steps
+from armperturb.perturbations.one_axis import imposed_movement, random_noise, random_steps
 from armperturb.recording_files import load_recording, save_recording
 
 RATE = 1000.0
@@ -110,6 +113,47 @@ def test_contraction_moves_torques_and_thresholds():
     assert person.stiffness == 2 * ANKLE.stiffness
     assert person.inertia == ANKLE.inertia
     assert person.muscle.of_elements("spindle_threshold")[0] == pytest.approx(0.1)
+
+
+def test_movement_of_an_ensemble_is_kept_fast_enough_for_the_half_wave():
+    person = half_wave(ANKLE, 0.1)
+    steps = [random_steps(seed=i, duration=2.6, size=0.06, hold=0.1) for i in range(4)]
+    trials = [JointTrial(person=person, perturbation=each) for each in steps]
+    recording = run_joint_experiment(trials, servo_of("ankle", "position"), timestep=2.5e-4)
+    names = ("inertia", "damping", "stiffness", "kv", "delay", "cutoff", "zeta")
+    values = np.array([*(getattr(person, name) for name in names), 0.1])
+    shares = []
+    for top in (TOP, FASTEST):
+        signals = joint_signals(recording, reference=0.0, settle=0.3, shortest=1.0, top=top)
+        paths = JointModel(JointStructure(reflex="half-wave", side=1), signals).paths(values)
+        left = signals.torque - sum(paths.values())
+        frequency = np.fft.rfftfreq(left[:, signals.used].shape[1], 1.0 / signals.rate)
+        slow = (frequency > 0.4) & (frequency < 20.0)
+        sizes = [
+            np.linalg.norm(np.fft.rfft(each[:, signals.used] * np.hanning(left[:, signals.used].shape[1]))[:, slow])
+            for each in (left, paths["reflex"])
+        ]
+        shares.append(sizes[0] / sizes[1])
+    assert shares[1] < 0.005
+    assert shares[1] < 0.4 * shares[0]
+
+
+@pytest.mark.parametrize(("natural", "cutoff"), [(5.0, 5.0 * 2**0.5), (40.0, 15.0), (0.0, 1.0)])
+def test_an_imposed_movement_is_as_wide_as_the_joint(natural, cutoff):
+    angle = imposed_movement(seed=3, duration=400.0, natural_frequency=natural, speed=0.2)
+    assert np.sqrt(np.mean(derivatives(angle)[0] ** 2)) == pytest.approx(0.2, rel=0.02)
+    frequency, power = signal.welch(angle, RATE, nperseg=8192)
+    near = np.abs(frequency - cutoff) < 0.1 * cutoff
+    low = (frequency > 0.2) & (frequency < 0.5 * cutoff)
+    assert power[near].mean() == pytest.approx(0.5 * power[low].mean(), rel=0.15)
+    beyond = np.abs(frequency - 2.0 * cutoff) < 0.1 * cutoff
+    assert power[beyond].mean() == pytest.approx(power[low].mean() / 257.0, rel=0.5)  # Butterworth, order 4
+
+
+@pytest.mark.parametrize("number", [{"natural_frequency": -1.0}, {"natural_frequency": 5.0, "speed": 0.0}])
+def test_an_imposed_movement_refuses_numbers_out_of_range(number):
+    with pytest.raises(ValueError, match="imposed_movement: "):
+        imposed_movement(seed=0, duration=1.0, **number)
 
 
 @pytest.mark.parametrize(("kind", "name"), [("position", "force"), ("force", "displacement")])
