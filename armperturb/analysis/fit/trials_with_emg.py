@@ -137,5 +137,6 @@ class TrialsWithEmg:
                 columns = np.union1d(of_movement, of_emg)
                 rows = np.zeros((len(columns), of_gains.shape[1]))
                 rows[np.searchsorted(columns, of_emg)] = of_gains
-                rows[np.searchsorted(columns, of_movement)] -= self.emg.of_movement(self._shown(of_arm))
+                for place, row in zip(np.searchsorted(columns, of_movement), of_arm, strict=True):  # for memory's sake
+                    rows[place] -= self.emg.of_movement(self._shown(row))
             yield trial, (of_movement, of_arm), (columns, rows)
