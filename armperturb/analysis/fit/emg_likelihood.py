@@ -7,15 +7,13 @@ group of muscles (shoulder, elbow, both) the difference between the amplitudes o
 
 with an unknown gain g_j [1/(Nm)] for each joint that a group crosses, in each condition unless it is shared, and an
 electromechanical delay T_em by which the muscles answer later than their EMG, beyond the activation dynamics. What
-rectification adds to each amplitude is the same in both, and falls out of the difference. The noise is
+rectification adds to each amplitude is the same in both, and falls out of the difference. The noise w is that of
+EMG, of an unknown smooth spectrum; it is taken to move no arm, so that
 
-    w = C A^-1 v + e,
+    p(x, y | d) = p(x | d) p(y | q),
 
-where v is the torque of the joints that moves the arm beside the disturbance d, and A the activation: that noise comes
-from the muscles and may show in their EMG. C is an unknown smooth response, zero if it does not. What is left, e, is
-noise of EMG, of an unknown smooth spectrum, which moves no arm. So p(x, y | d) = p(x | d) p(y | x, d), and the
-logarithms of both likelihoods add (`trials_with_emg`). Rotations are those of the recorded joint angles, or follow from
-the handle's displacement x and its force f on the hand: q = J^-1 (x - f / (b_h s + k_h)).
+and the logarithms of both likelihoods add (`trials_with_emg`). Rotations are those of the recorded joint angles, or
+follow from the handle's displacement x and its force f on the hand: q = J^-1 (x - f / (b_h s + k_h)).
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -25,18 +23,8 @@ from functools import partial
 import numpy as np
 from scipy import fft
 
-from armperturb.analysis.arm.parameters import (
-    ACTIVE_DAMPING,
-    CUTOFFS,
-    DELAYS,
-    GRIP_DAMPING,
-    GRIP_STIFFNESS,
-    MATRIX,
-    PARAMETERS,
-)
+from armperturb.analysis.arm.parameters import DELAYS, GRIP_DAMPING, GRIP_STIFFNESS, MATRIX, PARAMETERS
 from armperturb.analysis.emg.outputs import ReflexOutputs
-from armperturb.analysis.fit.frequency_bands import Smoother
-from armperturb.analysis.fit.frequency_rows import applied, applied_rows, complex_values
 from armperturb.analysis.fit.likelihood import judged_part
 from armperturb.analysis.fit.trial_effects import FEWEST_TRIALS
 from armperturb.analysis.fit.whittle import ALL, Whittle
@@ -45,9 +33,6 @@ from armperturb.validation import require_number
 
 BAND = (0.3, 20.0)
 """Frequencies of the EMG that count [Hz]."""
-
-SHARED = 400
-"""Trials times frequencies over which C is averaged at least: what chance makes of so many is below 1 %."""
 
 LARGEST_GAIN = 10.0
 """Upper bound of gains [1/(Nm)]: a torque of 0.1 Nm would activate a muscle as the reference does."""
@@ -129,45 +114,6 @@ class EmgLikelihood(Whittle):
             least=tiny,
             taper=taper,
         )
-        self._wide = Smoother(len(frequency), self.n_trials, least=SHARED)
-        self._share = np.zeros((self._n_outputs, 2, len(frequency)), dtype=complex)
-        self._shown = np.zeros_like(observed)
-
-    def weigh(self, values: Array) -> None:
-        """As `Whittle.weigh`, where no noise that moves the arm shows."""
-        self._shown = np.zeros_like(self._observed)
-        super().weigh(values)
-
-    def weigh_beside(self, values: Array, moved: ComplexArray, torque: ComplexArray) -> None:
-        """As `weigh`, where noise that moves the arm may show.
-
-        Args:
-          values: of the model.
-          moved: what is left of the movement, white, (trial, axis, frequency), zero where it is not judged.
-          torque: of the joints that would leave it, (joint, axis, frequency).
-        """
-        excites = torque / self._activation(values if values.ndim == 1 else values.mean(axis=0))[:, None]
-        left, drive = self._residual(values), applied(excites, moved)
-        shared, power = (np.einsum("taf,tbf->fab", each, drive.conj()) / len(moved) for each in (left, drive))
-        shared, power = (self._wide(each.reshape(len(each), -1)).reshape(each.shape) for each in (shared, power))
-        # Far from where movement is judged, nothing is known.
-        power[~(np.trace(power, axis1=1, axis2=2).real > 0.0)] = np.eye(2)
-        self._share = np.einsum("fij,jaf->iaf", shared @ np.linalg.inv(power), excites)
-        self._shown = applied(self._share, moved)
-        super().weigh(values)
-
-    def _without_unknowns(self, values: Array) -> tuple[ComplexArray, Array | None]:
-        return self._residual(values) - self._shown, None
-
-    def of_movement(self, moved: ComplexArray) -> Array:
-        """What white movement (..., axis, frequency) makes of the white residual, (..., number)."""
-        return applied_rows(self._white, applied(self._share, moved))
-
-    def to_movement(self, rows: Array) -> ComplexArray:
-        """The transpose of `of_movement`, of inner products of which the real part counts."""
-        white = complex_values(rows, (*rows.shape[:-1], self._n_outputs, len(self._frequency)))
-        share, whitener = (each.conj().swapaxes(0, 1) for each in (self._share, self._white))
-        return applied(share, applied(whitener, white))
 
     @property
     def rows(self) -> list[int]:
@@ -209,11 +155,6 @@ class EmgLikelihood(Whittle):
         """Delay from rotation to EMG, (joint, frequency)."""
         late = values[DELAYS] - self._delay_of(values)
         return np.asarray(np.exp(-self._s * late[:, None]))
-
-    def _activation(self, values: Array) -> ComplexArray:
-        """Of the muscles of each joint, from EMG to torque, (joint, frequency)."""
-        omega = 2.0 * np.pi * values[CUTOFFS][:, None]
-        return np.asarray(omega**2 / (self._s**2 + 2.0 * values[ACTIVE_DAMPING] * omega * self._s + omega**2))
 
     def _feedback(self, values: Array) -> ComplexArray:
         """From rotation to what reflexes see, (joint, joint, frequency)."""

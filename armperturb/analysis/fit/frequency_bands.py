@@ -43,15 +43,14 @@ class Smoother:
       n: how many frequencies there are.
       n_trials: that are averaged as well.
       wanted: indices of those at which the average is wanted; None for all.
-      least: trials times frequencies that are averaged at least.
 
     Attributes:
       count: frequencies that are averaged for each that is wanted, (wanted,).
     """
 
-    def __init__(self, n: int, n_trials: int, wanted: Indices | None = None, least: int = N_SMOOTH) -> None:
+    def __init__(self, n: int, n_trials: int, wanted: Indices | None = None) -> None:
         index = np.arange(n) if wanted is None else wanted
-        half = np.maximum(int(np.ceil(least / n_trials / 2)), (RELATIVE_WIDTH * index).astype(int))
+        half = np.maximum(int(np.ceil(N_SMOOTH / n_trials / 2)), (RELATIVE_WIDTH * index).astype(int))
         self._first = np.maximum(index - half, 0)
         self.count = np.minimum(index + half, n - 1) - self._first + 1
         ends = np.cumsum(self.count)

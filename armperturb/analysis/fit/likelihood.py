@@ -20,7 +20,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy import fft
 
-from armperturb.analysis.arm.geometry import hand_jacobian
 from armperturb.analysis.fit.frequency_bands import EXCITED_POWER
 from armperturb.analysis.fit.frequency_rows import applied, complex_values
 from armperturb.analysis.fit.total_admittance import TotalAdmittance
@@ -131,7 +130,6 @@ class Likelihood(Whittle):
             self._total if len(asked) == len(frequency) else TotalAdmittance(signals.body, asked, signals.environment)
         )
         self._filter = whitening(frequency, signals.rate)
-        self._jacobian = hand_jacobian(signals.body)
         least = float(ROUND_OFF * np.abs(force).max()) ** 2
         super().__init__(
             frequency, force, observed, answering, scale=self._filter, least=least, cause=applied, taper=taper
@@ -153,12 +151,6 @@ class Likelihood(Whittle):
         impedance = np.asarray(environment.m_env * s**2 + environment.b_env * s + environment.k_env, dtype=complex)
         share = np.subtract(self._answer(mean), gauge_gain(impedance, levels) * np.eye(2)[..., None])
         return np.stack([applied(share * s**power, self._observed) for power in (2, 1, 0)])
-
-    def noise_torque(self, values: Array) -> ComplexArray:
-        """Torque of the joints that would leave a white residual, as last weighed, (joint, axis, answer)."""
-        mean = values if values.ndim == 1 else values.mean(axis=0)
-        to_torque = np.tensordot(self._jacobian.T, self._to_smooth(mean)[..., self._answering], axes=1)
-        return np.asarray(np.einsum("jaf,fab->jbf", to_torque, np.linalg.inv(np.moveaxis(self._white, -1, 0))))
 
     def _to_smooth(self, values: Array) -> ComplexArray:
         (a, b), (c, d) = self._total(values) * self._filter
@@ -280,14 +272,12 @@ class RecordLikelihood(Likelihood):
         for trial, driven in enumerate(self._model.driven_slopes(values, mixing, self._load)):
             yield slice(trial, trial + 1), self._cut(driven)[:, None]
 
-    def exact_slopes(self, values: Array, mixing: Array, along: Array) -> Array:
-        """As `Whittle.exact_slopes`."""
+    def _exact_slopes(self, values: Array, mixing: Array, residual: Array) -> Array:
         # Of <r, W C dP d>, with C for `_cut`, all but dP is the same for all parameters: C^T W^T r takes two transforms
         # of a trial, and the C dP d themselves as many of each parameter.
-        mean = values if values.ndim == 1 else values.mean(axis=0)
-        white = complex_values(self._left(along), self._observed.shape)
+        white = complex_values(residual, self._observed.shape)
         errors = applied(self._white.conj().swapaxes(0, 1), white)
-        return self._model.slopes_along(mean, mixing, self._load, map(self._uncut, errors))
+        return self._model.slopes_along(values, mixing, self._load, map(self._uncut, errors))
 
     def _uncut(self, spectrum: ComplexArray) -> ComplexArray:
         """The transpose of `_cut`, of inner products of which the real part counts, (axis, ...)."""

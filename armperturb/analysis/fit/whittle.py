@@ -29,7 +29,7 @@ from armperturb.analysis.fit.frequency_rows import (
     least_squares_rows,
     orthonormal,
 )
-from armperturb.analysis.fit.total_admittance import LONGEST_RUN
+from armperturb.analysis.fit.total_admittance import LONGEST_RUN, SHORTER_RUN
 from armperturb.arrays import Array, ComplexArray, Indices
 
 ROUND_OFF = 1e-12
@@ -143,6 +143,12 @@ class Whittle:
         """Whether derivatives that are not quick take long."""
         return len(self._frequency) > LONGEST_RUN
 
+    @property
+    def sure(self) -> Array:
+        """By how much each number of a white row tells less, as the noise is estimated [-], (number,)."""
+        averaged = self._smoother.count * len(self._force)
+        return np.tile(np.maximum(1.0 - self._n_outputs / averaged, 0.0), 2 * self._n_outputs)
+
     def _predicted(self, values: Array, trials: slice = ALL) -> ComplexArray:
         """DFT of what the model says of some trials where it answers, (trial, output, answer)."""
         raise NotImplementedError
@@ -158,6 +164,16 @@ class Whittle:
     def _quick_slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, ComplexArray]]:
         """Derivatives that may leave out what takes long; see `normal`."""
         return self._slopes(values, mixing)
+
+    def _exact_slopes(self, values: Array, mixing: Array, residual: Array) -> Array | None:
+        """`Normal.slopes` of long records, from which the derivatives need not be known; None where they are quick.
+
+        Args:
+          values: of the model, (parameter,).
+          mixing: (parameter, free parameter).
+          residual: `_white_rows`, (trial, number).
+        """
+        return None
 
     def _to_smooth(self, values: Array) -> ComplexArray:
         """Filters that make the residual of a model nearly white, (output, output, frequency)."""
@@ -221,28 +237,36 @@ class Whittle:
         """Rows without what the unknown outputs span."""
         return rows if self._span is None else rows - (rows @ self._span.T) @ self._span
 
-    def white_rows(self, values: Array) -> Array:
+    def _runs_of_rows(self, derivatives: ComplexArray) -> Iterator[tuple[Array, slice]]:
+        """White rows of derivatives (..., output, answer), and of which answers; of long records part by part.
+
+        Inner products of the parts add up to those of the whole, which would take much memory.
+        """
+        n = derivatives.shape[-1]
+        if self._span is not None or n <= LONGEST_RUN:
+            yield self._left(applied_rows(self._white, derivatives)), ALL
+            return
+        for start in range(0, n, SHORTER_RUN):
+            run = slice(start, start + SHORTER_RUN)
+            yield applied_rows(self._white[..., run], derivatives[..., run]), run
+
+    def _in_run(self, row: Array, run: slice) -> Array:
+        """What a row, (number,), has in a run of answers."""
+        return row.reshape(2 * self._n_outputs, -1)[:, run].ravel()
+
+    def _white_rows(self, values: Array) -> Array:
         """The white residual of each trial, real then imaginary parts, (trial, number)."""
         return self._left(applied_rows(self._white, self._residual(values)))
-
-    @property
-    def judged_frequency(self) -> Array:
-        """At which models answer [Hz], (answer,)."""
-        return np.asarray(self._frequency[self._answering])
-
-    @property
-    def noise_size(self) -> float:
-        """What the strength of the noise adds to `objective`, as last weighed [-]."""
-        return -4.0 * self.n_trials * float(np.sum(np.log(np.abs(_determinant(self._white)))))
 
     def objective(self, values: Array) -> float:
         """Minus twice the log likelihood, but for a constant, the noise being that which the model leaves [-]."""
         self.weigh(values)
-        return self.cost(values) + self.noise_size
+        size = float(np.sum(np.log(np.abs(_determinant(self._white)))))
+        return self.cost(values) - 4.0 * len(self._force) * size
 
     def cost(self, values: Array) -> float:
         """`Normal.cost` of models."""
-        return float(np.sum(self.white_rows(values) ** 2))
+        return float(np.sum(self._white_rows(values) ** 2))
 
     def normal(self, values: Array, mixing: Array, *, quick: bool = False) -> Normal:
         """Least squares with respect to free parameters; mixing is (parameter, free parameter).
@@ -250,39 +274,17 @@ class Whittle:
         Where the parameters of trials differ, derivatives are those at their mean. Quick ones leave out how the
         response to a record's edges depends on the parameters; of long records the information does in any case.
         """
-        residual, n = self.white_rows(values), mixing.shape[1]
-        slopes, informations = np.zeros((self.n_trials, n)), np.zeros((self.n_trials, n, n))
-        exact = None if quick or not self.is_long else self.exact_slopes(values, mixing, residual)
-        for trial, rows in self.white_slopes(values, mixing, quick=quick or exact is not None):
-            slopes[trial] = rows @ residual[trial]
-            informations[trial] = rows @ rows.T
-        return Normal(float(np.sum(residual**2)), slopes if exact is None else exact, informations)
-
-    def white_slopes(self, values: Array, mixing: Array, *, quick: bool) -> Iterator[tuple[int, Array]]:
-        """Each trial and the derivatives of what `white_rows` loses to the model, (free parameter, number)."""
+        residual = self._white_rows(values)
         mean = values if values.ndim == 1 else values.mean(axis=0)
-        for trials, derivatives in (self._quick_slopes if quick else self._slopes)(mean, mixing):
-            for place, trial in enumerate(range(self.n_trials)[trials]):
-                yield trial, self._left(applied_rows(self._white, derivatives[:, place]))
-
-    def exact_slopes(self, values: Array, mixing: Array, along: Array) -> Array | None:
-        """What the derivatives that are not quick have along white rows, without the derivatives, (trial, parameter).
-
-        Args:
-          values: as for `normal`.
-          mixing: likewise.
-          along: as `white_rows`, (trial, number).
-
-        Returns:
-          The inner products; None where quick derivatives are all there are.
-        """
-        return None
-
-    @property
-    def sure(self) -> Array:
-        """By how much each number of `white_rows` tells less, as the noise is estimated [-], (number,)."""
-        averaged = self._smoother.count * len(self._force)
-        return np.tile(np.maximum(1.0 - self._n_outputs / averaged, 0.0), 2 * self._n_outputs)
+        n_trials, n = len(residual), mixing.shape[1]
+        slopes, informations = np.zeros((n_trials, n)), np.zeros((n_trials, n, n))
+        exact = None if quick or not self.is_long else self._exact_slopes(mean, mixing, residual)
+        for trials, derivatives in (self._slopes if not quick and exact is None else self._quick_slopes)(mean, mixing):
+            for place, trial in enumerate(range(n_trials)[trials]):
+                for rows, run in self._runs_of_rows(derivatives[:, place]):
+                    slopes[trial] += rows @ self._in_run(residual[trial], run)
+                    informations[trial] += rows @ rows.T
+        return Normal(float(np.sum(residual**2)), slopes if exact is None else exact, informations)
 
     def informations(self, values: Array, mixing: Array) -> tuple[Array, Array]:
         """Fisher information of all trials, and what of it is left as the noise is estimated, (parameter, parameter).
@@ -290,11 +292,14 @@ class Whittle:
         The latter is the inverse covariance of estimates, the former what `normal` says. Arguments are as there, and
         derivatives are quick.
         """
-        known, left = np.zeros((2, mixing.shape[1], mixing.shape[1]))
-        for _, rows in self.white_slopes(values, mixing, quick=True):
-            known += rows @ rows.T
-            rows *= self.sure
-            left += rows @ rows.T
+        mean = values if values.ndim == 1 else values.mean(axis=0)
+        known, left, sure = *np.zeros((2, mixing.shape[1], mixing.shape[1])), self.sure
+        for _, derivatives in self._quick_slopes(mean, mixing):
+            for each in np.moveaxis(derivatives, 1, 0):
+                for rows, run in self._runs_of_rows(each):
+                    known += rows @ rows.T
+                    rows *= self._in_run(sure, run)
+                    left += rows @ rows.T
         return known, left
 
     def errors_by(self, values: Array, mixing: Array, changes: ComplexArray) -> Array:
@@ -310,16 +315,13 @@ class Whittle:
         rows = self._left(applied_rows(self._white, changes))
         for trials, derivatives in self._quick_slopes(mean, mixing):
             for place, trial in enumerate(range(self.n_trials)[trials]):
-                slopes += applied_rows(self._white, derivatives[:, place]) @ rows[:, trial].T
+                for of_run, run in self._runs_of_rows(derivatives[:, place]):
+                    slopes += of_run @ np.array([self._in_run(each, run) for each in rows[:, trial]]).T
         return slopes
 
     def lack_of_fit(self, values: Array) -> LackOfFit:
         """Whether models leave something that the input explains, the noise being as last weighed."""
-        return self.lack_in(self.white_rows(values))
-
-    def lack_in(self, rows: Array) -> LackOfFit:
-        """The same of a white residual, as `white_rows` gives it."""
-        bands = self._lack_by_band(rows)
+        bands = self.lack_by_band(values)
         return LackOfFit(sum(band.chi2 for band in bands), 2 * self._n_outputs * self._force.shape[1] * len(bands))
 
     def lack_by_band(self, values: Array) -> tuple[BandOfLack, ...]:
@@ -328,12 +330,9 @@ class Whittle:
         The white residual is regressed on what a change of the response, the same all over the band, would add. Each
         regression has as many real parameters as the response has numbers: eight of two inputs and outputs.
         """
-        return self._lack_by_band(self.white_rows(values))
-
-    def _lack_by_band(self, rows: Array) -> tuple[BandOfLack, ...]:
-        residual = complex_values(rows, self._observed.shape)
+        residual = complex_values(self._white_rows(values), self._observed.shape)
         changes = np.einsum("aof,tif->tafoi", self._white * self._scale, self._cause)
-        frequency, left = self.judged_frequency, []
+        frequency, left = self._frequency[self._answering], []
         for band in self._bands:
             change = changes[:, :, band]
             basis, _ = np.linalg.qr(change.reshape(-1, change.shape[-2] * change.shape[-1]))

@@ -96,7 +96,7 @@ class TorqueLikelihood(Whittle):
 
     def residual(self, values: Array) -> Array:
         """White residual of the torque at the recorded movement, (trial, number)."""
-        return self.white_rows(values)
+        return self._white_rows(values)
 
     def weigh(self, values: Array) -> None:
         """Estimate the spectrum of the noise that a model leaves; it holds until the next call."""

@@ -52,6 +52,9 @@ people do. A condition in which one lies to the right of it adds to the objectiv
 MARGIN_SD = 0.25
 """How far to the right counts as one standard deviation [1/s]."""
 
+MOST = 1000
+"""Sets of multisines, and steps of the search, that anybody would wait for."""
+
 TOLERANCE = 5e-3
 """The search ends when an iteration lowers the objective by less than this share."""
 
@@ -277,8 +280,8 @@ def calibrate(
     """
     sought = unknowns(task, law)
     require_number("calibrate", "seed", seed, at_least=0)
-    require_number("calibrate", "n_multisines", n_multisines, at_least=1)
-    require_number("calibrate", "max_iterations", max_iterations, at_least=1)
+    require_number("calibrate", "n_multisines", n_multisines, at_least=1, at_most=MOST)
+    require_number("calibrate", "max_iterations", max_iterations, at_least=1, at_most=MOST)
     search = _Search(
         task=task,
         unknowns=sought,

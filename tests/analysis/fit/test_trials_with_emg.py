@@ -1,4 +1,4 @@
-"""Noise of a person that moves the arm and shows in the EMG: derivatives, lack of fit, and what is gained."""
+"""Movement and EMG of the same trials: derivatives, sampling rates, and a person whose effort shows in the EMG."""
 
 from dataclasses import replace
 
@@ -19,34 +19,30 @@ from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.subject import POSITION
 
-REFLEXES = ("kv_s", "kv_se", "kv_e", "kp_s", "kp_se", "kp_e", "Td_s", "Td_e", "fact_s", "fact_e")
-
-
 NOISE = replace(HUMAN_NOISE["PT"], spread_b=0.0, spread_k=0.0, spread_kv=0.0, spread_kp=0.0)
 
 
-def fitted(recording):
-    """Trials without and with EMG."""
+def with_emg(recording):
+    """Trials of a recording and their EMG."""
     trials = ConditionTrials.prepare(recording)
-    group = Group.prepare([trials], structure_of("3", wide=True))
     likelihood = EmgLikelihood(reflex_outputs(trials, envelopes(recording)), ElectromechanicalDelay())
-    return group, group.with_emg(likelihood)
+    return Group.prepare([trials], structure_of("3", wide=True)).with_emg(likelihood)
 
 
-def recorded(trials, **options):
+def recorded(trials, effort, **options):
     """Of a linear arm, so that nothing but noise is left of the movement."""
-    instruments = Instruments(marker_noise=None, emg=Emg(effort=1.0))
+    instruments = Instruments(marker_noise=None, emg=Emg(effort=effort))
     return run_experiment(trials, linear=True, instruments=instruments, n_threads=1, **options)
 
 
 @pytest.fixture(scope="module")
-def groups(studies):
-    return fitted(recorded(studies.perturbed(POSITION, 5.4, 4, noise=NOISE)))
+def group(studies):
+    return with_emg(recorded(studies.perturbed(POSITION, 5.4, 4, noise=NOISE), 0.0))
 
 
 @pytest.mark.slow(reason="simulates four trials with EMG")
-def test_slope_is_that_of_the_cost(groups):
-    problem = JointLikelihood([groups[1]], "record", ())
+def test_slope_is_that_of_the_cost(group):
+    problem = JointLikelihood([group], "record", ())
     values = problem.stabilised(problem.initial({"kp_s": 20.0, "Td_e": 0.04}))
     problem.weigh(values)
     slope = problem.normal(values).slope
@@ -57,8 +53,8 @@ def test_slope_is_that_of_the_cost(groups):
 
 
 @pytest.mark.slow(reason="simulates four trials with EMG")
-def test_slopes_of_long_records_are_those_of_the_derivatives(groups, monkeypatch):
-    problem = JointLikelihood([groups[1]], "record", ())
+def test_slopes_of_long_records_are_those_of_the_derivatives(group, monkeypatch):
+    problem = JointLikelihood([group], "record", ())
     values = problem.stabilised(problem.initial({"kp_s": 20.0, "Td_e": 0.04}))
     problem.weigh(values)
     slope = problem.normal(values).slope
@@ -70,25 +66,16 @@ def test_slopes_of_long_records_are_those_of_the_derivatives(groups, monkeypatch
 
 
 @pytest.mark.slow(reason="simulates four trials with EMG")
-def test_noise_that_shows_is_no_lack_of_fit_and_tells_of_the_arm(groups, monkeypatch):
-    fit = estimate([groups[1]])
-    assert fit.p_value > 0.01
-    for name in REFLEXES:
-        assert abs(fit.values[name] - getattr(POSITION, name)) < 3.5 * fit.standard_error[name], name
-    alone = estimate([groups[0]])
-    gained = {name: fit.standard_error[name] / alone.standard_error[name] for name in alone.values}
-    assert all(gained[name] < 0.7 for name in REFLEXES if name.startswith(("kv", "kp")))
-    assert gained["k_s"] < 0.6
-    assert gained["k_se"] < 0.8
-    # Where what shows is taken for noise of the EMG alone, the same trials refute the right structure.
-    monkeypatch.setattr("armperturb.analysis.fit.trials_with_emg.SAME_STEP", -1.0)
-    assert estimate([groups[1]]).p_value < 1e-4
+def test_effort_that_shows_in_the_emg_raises_doubt(studies, group):
+    assert estimate([group]).p_value > 0.01
+    shown = estimate([with_emg(recorded(studies.perturbed(POSITION, 5.4, 4, noise=NOISE), 1.0))])
+    assert shown.p_value < 1e-4
 
 
 @pytest.mark.slow(reason="simulates three trials with EMG")
 def test_faster_samples_are_taken_as_slowly_as_those_of_the_movement(studies):
-    recording = recorded(studies.perturbed(POSITION, 5.4, 3, noise=NOISE), timestep=1e-3, rate=1000.0)
-    assert estimate([fitted(recording)[1]]).p_value > 0.01
+    recording = recorded(studies.perturbed(POSITION, 5.4, 3, noise=NOISE), 0.0, timestep=1e-3, rate=1000.0)
+    assert estimate([with_emg(recording)]).p_value > 0.01
 
 
 def test_excitation_is_what_makes_the_torque():
