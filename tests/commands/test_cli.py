@@ -240,14 +240,15 @@ def test_the_thesis_estimator_can_be_asked_for(two_recordings, tmp_path, capsys)
 def test_what_cannot_be_identified_together_is_refused(two_recordings, recording, tmp_path, capsys):
     in_other_task = {name: ("trial", [name] * 4) for name in ("subject", "condition")} | {"task": ("trial", ["PT"] * 4)}
     save_recording(recording.assign_coords(in_other_task), tmp_path / "p.nc")
-    save_recording(recording.isel(time=slice(5800)), tmp_path / "short.nc")
+    other = recording.copy()  # a copy of a trial would be refused
+    other["force"] = other["force"].copy(data=1.001 * other["force"].values)
+    save_recording(other.isel(time=slice(5800)), tmp_path / "short.nc")
     out = ("--out", tmp_path / "r")
     a, b = two_recordings
     line = refused(capsys, "identify", a, tmp_path / "p.nc", "--model", "1", *out)
     assert "subjects S01, subject; expected only one (choose a --subject)" in line
-    other = recording.assign_coords(condition=("trial", ["PT7.5"] * 4), task=("trial", ["PT"] * 4))
-    other["force"] = other["force"].copy(data=1.001 * other["force"].values)  # a copy of the trial would be refused
-    save_recording(other, tmp_path / "p.nc")
+    of_task = other.assign_coords(condition=("trial", ["PT7.5"] * 4), task=("trial", ["PT"] * 4))
+    save_recording(of_task, tmp_path / "p.nc")
     line = refused(capsys, "identify", a, tmp_path / "p.nc", "--model", "1", *out)
     assert "trials of the tasks RT and PT; expected only one task (choose a --condition)" in line
     line = refused(capsys, "identify", a, tmp_path / "short.nc", "--model", "1", "--estimator", "thesis", *out)

@@ -83,10 +83,12 @@ def test_without_covariance_there_are_no_bands(folder, tmp_path, capsys):
 
 
 @pytest.mark.slow(reason="draws figures")
-def test_an_earlier_distortion_goes(folder, tmp_path, capsys):
-    (tmp_path / "distortion.csv").write_text("old")
+@pytest.mark.parametrize("names", [("distortion.csv", "distortion.svg"), ("distortion.csv",)], ids=["its", "another's"])
+def test_an_earlier_distortion_goes(folder, tmp_path, capsys, names):
+    for name in names:
+        (tmp_path / name).write_text("old")
     assert run("response", folder / "multisine.nc", "--what", "total", "--out", tmp_path) == 0
-    assert not (tmp_path / "distortion.csv").exists()
+    assert any((tmp_path / name).exists() for name in names) == (len(names) == 1)
 
 
 @pytest.mark.slow(reason="reads long records many times")

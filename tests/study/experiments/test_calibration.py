@@ -249,7 +249,7 @@ def test_what_is_unknown_is_refused(arguments, message):
 def test_numbers_out_of_range_are_refused():
     with pytest.raises(ValueError, match="n_multisines = 0; expected"):
         calibrate("RT", n_multisines=0)
-    with pytest.raises(ValueError, match="max_iterations = 10{30}; expected"):
+    with pytest.raises(ValueError, match=r"max_iterations = 10{30}; expected"):
         calibrate("RT", max_iterations=10**30)
     with pytest.raises(ValueError, match="seed = -1; expected"):
         calibrate("RT", seed=-1)
