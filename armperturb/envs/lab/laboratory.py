@@ -147,7 +147,8 @@ class Laboratory:
             require_number(owner, "activation", activation, at_least=0.0, at_most=1.0)
         self.environment, self.timestep, self._controller = environment or Environment(), timestep, controller
         self.name, self.activation = _name_of(model), activation
-        spec = load_arm(model)
+        with silent_simulator():
+            spec = load_arm(model)
         if not gravity:
             spec.option.gravity = np.zeros(3)
         _require_hand(spec, hand_site)
