@@ -19,6 +19,7 @@ from scipy import fft
 
 from armperturb.analysis.emg.envelope import envelopes
 from armperturb.analysis.emg.outputs import ReflexOutputs, reflex_outputs
+from armperturb.analysis.fit.emg_likelihood import BAND
 from armperturb.analysis.fit.frequency_bands import Smoother
 from armperturb.analysis.fit.likelihood import judged_part
 from armperturb.analysis.nonlinear.model import Model, Parameters, coordinate, true_values
@@ -29,9 +30,6 @@ from benchmarks.emg import MOVED, MOVING, recorded
 
 HELD = "kv.elbow"
 """Of which EMG would not tell the size."""
-
-BAND = (0.3, 20.0)
-"""Frequencies of the EMG that count [Hz]."""
 
 STEP = 1e-3
 """Change of a coordinate in finite differences [-]."""

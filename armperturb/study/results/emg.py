@@ -1,6 +1,7 @@
 """What the EMG of a person tells in a study: activity, co-contraction and reflexes in each condition."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -127,7 +128,7 @@ def person_emg(name: str, path: Path, shown: Condition | None = None) -> PersonE
     Args:
       name: of the person.
       path: of the recording.
-      shown: condition of which figures are drawn, if the recording has it.
+      shown: condition of which figures are drawn, if the recording has trials of it that are long enough.
 
     Raises:
       ValueError: the recording is refused.
@@ -141,36 +142,35 @@ def person_emg(name: str, path: Path, shown: Condition | None = None) -> PersonE
     of_muscles = activity(amplitudes)
     # Cut without the EMG, of which copies take long.
     by_condition = trials_by_condition(recording.drop_vars("emg"), is_checked=True)
-    responses = []
+    of_conditions: dict[str, Reflexes] = {}
     for label, trials in by_condition.items():
-        if label in (MAXIMAL, REST):
-            continue
-        try:
-            table = reflexes(trials, amplitudes).responses
-        except ValueError:  # trials that are too short
-            continue
-        columns = ["muscle", *Reflex._fields[2:]]
-        responses += [Reflex(label, *row) for row in table[columns].itertuples(index=False, name=None)]
+        if label not in (MAXIMAL, REST):
+            with suppress(ValueError):  # trials that are too short
+                of_conditions[label] = reflexes(trials, amplitudes)
+    columns = ["muscle", *Reflex._fields[2:]]
     return PersonEmg(
         name=name,
         unit=of_muscles.unit,
         limit=float(of_muscles.limit),
         levels=tuple(Level(*row) for row in _plain(of_muscles.levels)),
         cocontraction=tuple(Cocontraction(*row) for row in _plain(of_muscles.cocontraction)),
-        reflexes=tuple(responses),
+        reflexes=tuple(
+            Reflex(label, *row)
+            for label, reflex in of_conditions.items()
+            for row in reflex.responses[columns].itertuples(index=False, name=None)
+        ),
         remarks=tuple(f"{name}: {line}" for line in amplitudes.remarks),
-        shown=shown_emg(amplitudes, by_condition, shown) if shown and shown.name in by_condition else None,
+        shown=_shown(amplitudes, by_condition, of_conditions, shown) if shown and shown.name in of_conditions else None,
     )
 
 
-def shown_emg(amplitudes: Envelopes, trials: Mapping[str, ConditionTrials], condition: Condition) -> ShownEmg:
-    """What figures show of a condition.
-
-    Args:
-      amplitudes: of all the person's trials.
-      trials: condition to these trials.
-      condition: that is shown; one of theirs.
-    """
+def _shown(
+    amplitudes: Envelopes,
+    trials: Mapping[str, ConditionTrials],
+    of_conditions: Mapping[str, Reflexes],
+    condition: Condition,
+) -> ShownEmg:
+    """What figures show of a condition, from all the person's trials and what reflexes do in each condition."""
     is_first = np.zeros(len(amplitudes.labels), dtype=bool)
     is_first[int((amplitudes.labels["condition"] == condition.name).to_numpy().argmax())] = True
     same = [part for part in trials.values() if part.recording["task"].values[0] == condition.task]
@@ -178,7 +178,7 @@ def shown_emg(amplitudes: Envelopes, trials: Mapping[str, ConditionTrials], cond
     return ShownEmg(
         envelopes=replace(amplitudes, labels=amplitudes.labels[is_first], power=amplitudes.power[is_first]),
         onsets=onsets(with_pulses, amplitudes) if condition.pulse_levels else None,
-        reflexes=reflexes(trials[condition.name], amplitudes),
+        reflexes=of_conditions[condition.name],
     )
 
 
