@@ -25,7 +25,7 @@ import numpy as np
 
 from armperturb import cli
 from armperturb.perturbations import Multisine, save_perturbation
-from armperturb.study.results.cache import ANALYSIS
+from armperturb.study.recording.folder import ANALYSIS
 from armperturb.subject import RELAX
 from benchmarks.study_kills import short_protocol
 

@@ -16,7 +16,7 @@ from functools import partial
 from pathlib import Path
 
 from armperturb import cli
-from armperturb.study.results.cache import ANALYSIS
+from armperturb.study.recording.folder import ANALYSIS
 from benchmarks.faults import REMOVED, contents
 from benchmarks.kept_rows import Row, with_kept_rows
 from benchmarks.kills import COMMANDS, inputs_of, scratch_folder, without_recalled, wrong

@@ -12,8 +12,9 @@ from armperturb.analysis.emg.reflex import DELAYS
 from armperturb.progress import Progress
 from armperturb.recording_files import load_recording
 from armperturb.study.comparison.cocontraction import cocontraction_tests
+from armperturb.study.recording.folder import ANALYSIS
 from armperturb.study.report.figures import emg as emg_figures
-from armperturb.study.results.cache import ANALYSIS, CachedResult, Unit, kept_or_computed
+from armperturb.study.results.cache import CachedResult, Unit, kept_or_computed
 from armperturb.study.results.cases import Case
 from armperturb.study.results.emg import PersonEmg, person_emg
 from armperturb.study.results.mean_admittance import main_conditions

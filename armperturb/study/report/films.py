@@ -12,8 +12,9 @@ import xarray as xr
 from armperturb.envs.render.clip import Clip
 from armperturb.envs.render.replay import Replay
 from armperturb.envs.render.video import write_video
+from armperturb.study.recording.folder import ANALYSIS
 from armperturb.study.report.pictures import program
-from armperturb.study.results.cache import ANALYSIS, CachedResult, Unit
+from armperturb.study.results.cache import CachedResult, Unit
 
 SIZE = (320, 240)
 """Width and height of the picture from above [pixel]; the strip chart below adds half the height."""

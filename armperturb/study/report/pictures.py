@@ -19,7 +19,8 @@ from matplotlib.figure import Figure
 import armperturb
 from armperturb.archive import digest
 from armperturb.pages.page import Picture
-from armperturb.study.results.cache import ANALYSIS, CachedResult, Unit
+from armperturb.study.recording.folder import ANALYSIS
+from armperturb.study.results.cache import CachedResult, Unit
 from armperturb.study.results.cases import Case
 from armperturb.study.results.study_result import StudyResult
 

@@ -16,8 +16,9 @@ from armperturb.analysis.measures.pulse import pulse_span
 from armperturb.archive import digest
 from armperturb.arrays import Array
 from armperturb.recording_files import load_recording
+from armperturb.study.recording.folder import ANALYSIS
 from armperturb.study.report.figures.trajectories import first_pulses, stable_fits
-from armperturb.study.results.cache import ANALYSIS, CachedResult, Unit
+from armperturb.study.results.cache import CachedResult, Unit
 from armperturb.study.results.study_result import StudyResult
 
 MOST_PEOPLE = 10

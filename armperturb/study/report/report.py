@@ -15,7 +15,7 @@ from armperturb.study.comparison.effects import effects
 from armperturb.study.comparison.score import score, write_score
 from armperturb.study.experiments.mechanisms import Yielding, has_law, why_people_yield
 from armperturb.study.experiments.moving_shoulder import MovingShoulder, moving_shoulder
-from armperturb.study.recording.folder import require_own_results
+from armperturb.study.recording.folder import ANALYSIS, require_own_results
 from armperturb.study.recording.record import worker_count
 from armperturb.study.report.emg import emg_drawings, emg_of, emg_rows
 from armperturb.study.report.figures.catalogue import drawings
@@ -28,7 +28,7 @@ from armperturb.study.report.provenance import provenance
 from armperturb.study.report.sections import joint_rows, sections
 from armperturb.study.report.tables import write_tables
 from armperturb.study.report.words import WORDS
-from armperturb.study.results.cache import ANALYSIS, CachedResult, Unit, kept_or_computed
+from armperturb.study.results.cache import CachedResult, Unit, kept_or_computed
 from armperturb.study.results.mean_admittance import by_task, main_conditions
 from armperturb.study.results.study_result import StudyResult
 from armperturb.workers import Workers, require_workers, workers_for

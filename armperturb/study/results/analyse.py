@@ -18,12 +18,12 @@ from armperturb.files import checksum
 from armperturb.progress import Progress
 from armperturb.recording_files import load_recording
 from armperturb.study.protocol import THESIS, Protocol
-from armperturb.study.recording.folder import RECORDINGS, find_recordings, require_own_results
+from armperturb.study.recording.folder import ANALYSIS, RECORDINGS, find_recordings, require_own_results
 from armperturb.study.recording.manifest import Manifest, current_versions, read_manifest
 from armperturb.study.recording.record import record_study, worker_count
 from armperturb.study.recording.settings import BLOCK, StudySettings
 from armperturb.study.results.appendix_fits import Appendices, Key, SecondStep, fit_second_step, joined, means_of
-from armperturb.study.results.cache import ANALYSIS, CachedResult, Unit, computed, kept_or_computed, reusable
+from armperturb.study.results.cache import CachedResult, Unit, computed, kept_or_computed, reusable
 from armperturb.study.results.cases import Case
 from armperturb.study.results.nonlinear_fits import NonlinearFit, fit_nonlinear
 from armperturb.study.results.person import PersonResults, analyse_person

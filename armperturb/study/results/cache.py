@@ -28,8 +28,7 @@ from typing import Any, Generic, TypeVar
 
 from armperturb.archive import read_archive, write_archive
 from armperturb.progress import Progress
-from armperturb.study.recording.folder import ANALYSIS as ANALYSIS
-from armperturb.study.recording.folder import differences, require_own_results
+from armperturb.study.recording.folder import ANALYSIS, differences, require_own_results
 from armperturb.workers import Workers, completed
 
 LOG = logging.getLogger(__name__)
