@@ -1,10 +1,11 @@
 """Whether reflexes with a fast part, and the admittance that is printed, give a better average person in PT.
 
-Run by `python -m benchmarks.fast_reflexes --law acceleration --cutoff 20 --share 0.9`; some 2 min of one core. The
-average person of the position task is sought as `armperturb calibrate` does (tables 2.1, F.2 to F.4), and so that the
-best linear approximation in PT7.5 is the arm of the mean parameters of model 5 (table C.8): a band of frequencies
-counts as one standard deviation where it is `OFF` of the printed admittance off. Grip and delays are those of C.8, with
-`--grip usual` those of all people. `--voluntary` sets the share of slow corrections, which add to the peaks of pulses.
+Run by `python -m benchmarks.fast_reflexes --law acceleration --cutoff 20 --share 0.9 --fast-share 0`; some 2 min of
+one core. The average person of the position task is sought as `armperturb calibrate` does (tables 2.1, F.2 to F.4),
+and so that the best linear approximation in PT7.5 is the arm of the mean parameters of model 5 (table C.8): a band of
+frequencies counts as one standard deviation where it is `OFF` of the printed admittance off. Grip and delays are those
+of C.8, with `--grip usual` those of all people. `--voluntary` sets the share of slow corrections, which add to the
+peaks of pulses.
 
 Laws: `slow` is the law of the position task; `cutoff` has the cut-off of the activation as an unknown; `acceleration`
 has feedback of acceleration, from gains near those of model 5, with the cut-off of C.8. `--start yielding` begins at
@@ -27,7 +28,7 @@ from armperturb.analysis.response.spectra import averaged_spectra
 from armperturb.analysis.trials import trials_by_condition
 from armperturb.arrays import Array
 from armperturb.cohort import Person
-from armperturb.controllers.remnant import HUMAN_NOISE, HumanNoise
+from armperturb.controllers.remnant import HumanNoise
 from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.muscle_law import ELEMENTS
@@ -37,6 +38,7 @@ from armperturb.study.experiments.candidates import Candidate, Unknown, unknowns
 from armperturb.study.protocol import THESIS
 from armperturb.study.results.quantities import LIMITS, Cell, published_cells
 from armperturb.study.results.uses import CALIBRATED, HELD_OUT
+from benchmarks.noise_options import add_noise_options, noise_of
 from benchmarks.print_ceiling import arms_of_tables, fits_of
 
 EDGES = np.geomspace(0.28, 16.0, 17)
@@ -228,18 +230,13 @@ class Search:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--law", default="acceleration", choices=["slow", "cutoff", "acceleration"])
-    parser.add_argument("--cutoff", type=float, help="of the remnant [Hz]; as people have it if not given")
-    parser.add_argument("--share", type=float, help="RMS of the remnant over the demand; likewise")
-    parser.add_argument("--floor", type=float, help="RMS of the remnant without a perturbation [Nm]; likewise")
-    parser.add_argument("--voluntary", type=float, help="RMS of the slow corrections over the demand; likewise")
+    add_noise_options(parser)
     parser.add_argument("--grip", default="printed", choices=["printed", "usual"])
     parser.add_argument("--start", default="yielding", choices=list(STARTS))
     parser.add_argument("--iterations", type=int, default=12)
     parser.add_argument("--fits", type=int, default=0, help="replicates of 20 trials each, of which C to E are fitted")
     options = parser.parse_args()
-    given = {f"remnant_{name}": getattr(options, name) for name in ("cutoff", "share", "floor")}
-    given["voluntary_share"] = options.voluntary
-    noise = replace(HUMAN_NOISE["PT"], **{name: value for name, value in given.items() if value is not None})
+    noise = noise_of(options, "PT")
     search = Search(options.law, options.grip, noise, [calibration.SEEN, calibration.SEEN + 1])
     first = NEAR_C8 if options.law == "acceleration" else {}
     point = search.minimise({**first, **STARTS[options.start]}, options.iterations)

@@ -223,7 +223,7 @@ COMMANDS = {
     ),
     "design": ([], ["design", "--subject", "person.toml", *_LIMITS, "--out", "o"]),
     "report": (_REPORT, _REPORT),
-    "calibrate": ([], ["calibrate", "--iterations", "1", "--out", "o.toml"]),
+    "calibrate": ([], ["calibrate", "--multisines", "1", "--iterations", "1", "--out", "o.toml"]),
 }
 """Name to the command that ran before, and the command that fails."""
 

@@ -30,6 +30,7 @@ from armperturb.study.published import tables as published
 from armperturb.study.results.appendix_fits import Appendices, fit_person, fit_second_step, joined, means_of
 from armperturb.study.results.settings import AnalysisSettings, Start
 from armperturb.subject import POSITION, RELAX, TASKS, Subject
+from benchmarks.noise_options import add_noise_options, noise_of
 
 TABLES = {"PT2.5": "C.6", "PT7.5": "C.8", "PT22.5": "C.10", "RT2.5": "C.16", "RT7.5": "C.18", "RT22.5": "C.20"}
 """Condition to the table of its mean parameters."""
@@ -98,8 +99,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--people", default="3", help="structure of the position task, 1 to 6, or average")
     parser.add_argument("--relaxed", default="1", help="structure of the relax task, 1 to 6")
-    parser.add_argument("--cutoff", type=float, help="of the remnant in PT [Hz]; as people have it if not given")
-    parser.add_argument("--share", type=float, help="RMS of the remnant in PT over the demand; likewise")
+    add_noise_options(parser)
     parser.add_argument("--n", type=int, default=3, help="replicates, of 20 trials each")
     parser.add_argument("--seed", type=int, default=11)
     parser.add_argument("--start", default="neutral", choices=["neutral", "published", "scattered"])
@@ -108,8 +108,7 @@ def main() -> None:
         arms = arms_of(average_person())
     else:
         arms = arms_of_tables({"PT": options.people, "RT": options.relaxed})
-    given = {f"remnant_{name}": value for name in ("cutoff", "share") if (value := getattr(options, name)) is not None}
-    noise = {**HUMAN_NOISE, "PT": replace(HUMAN_NOISE["PT"], **given)}
+    noise = {**HUMAN_NOISE, "PT": noise_of(options, "PT")}
     before = time.process_time()
     cells = fitted_cells(fits_of(arms, noise, options.seed, options.n, options.start))
     print(f"{options}, {time.process_time() - before:.0f} s of the processor")

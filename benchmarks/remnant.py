@@ -1,6 +1,6 @@
 """Which spectrum of the remnant gives the published VAF and criterion, and what the person is who then fits the tables.
 
-Run by `python -m benchmarks.remnant --cutoff 20 --share 0.9`, or `--share 0.35 --fast-share 0.7 --fast-cutoff 40` for
+Run by `python -m benchmarks.remnant --cutoff 20 --share 0.9 --fast-share 0`, or `--share 0.35 --fast-share 0.7` for
 a remnant in two parts; some 10 s of one core, with `--calibrate` half a minute more. The average person goes through
 four trials per condition under the published mean forces. One model is fitted to their admittances as in step 2 of
 appendix C, from the published means of step 1: model 3 in PT, model 1 in RT. Printed are criterion and VAF, in brackets
@@ -21,7 +21,7 @@ from armperturb.analysis.fit.thesis import fit_trials
 from armperturb.analysis.response.spectra import single_trial_spectra
 from armperturb.analysis.trials import trials_by_condition
 from armperturb.cohort import Person, average_person
-from armperturb.controllers.remnant import HUMAN_NOISE, HumanNoise
+from armperturb.controllers.remnant import HumanNoise
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.perturbations.multisine import PERIOD
@@ -29,6 +29,7 @@ from armperturb.study.comparison.score import fitted_cells, share
 from armperturb.study.experiments.calibration import calibrate, schedules
 from armperturb.study.published import tables as published
 from armperturb.study.results.appendix_fits import first_start
+from benchmarks.noise_options import add_noise_options, noise_of
 from benchmarks.print_ceiling import arms_of, fits_of
 
 JUDGED = {"PT": ("3", "C.12"), "RT": ("1", "C.22")}
@@ -78,22 +79,18 @@ def _amplitude(item: tuple) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--task", default="PT", choices=list(JUDGED))
-    parser.add_argument("--cutoff", type=float, help="of the remnant [Hz]; as people have it if not given")
-    parser.add_argument("--share", type=float, help="RMS of the remnant over the demand; likewise")
-    parser.add_argument("--floor", type=float, help="RMS of the remnant without a perturbation [Nm]; likewise")
-    parser.add_argument("--fast-share", type=float, help="RMS of the remnant's fast part over the demand; likewise")
-    parser.add_argument("--fast-cutoff", type=float, help="of the fast part [Hz]; likewise")
+    add_noise_options(parser)
     parser.add_argument("--seed", type=int, default=700)
     parser.add_argument("--calibrate", action="store_true")
+    parser.add_argument("--multisines", type=int, default=1, help="sets of multisines that the calibration sees")
     parser.add_argument("--iterations", type=int, default=6, help="of the calibration")
     parser.add_argument("--fits", type=int, default=0, help="replicates of 20 trials each, of which C to E are fitted")
     options = parser.parse_args()
-    given = {f"remnant_{name}": getattr(options, name) for name in ("cutoff", "share", "floor")}
-    given |= {name: getattr(options, name) for name in ("fast_share", "fast_cutoff")}
-    noise = replace(HUMAN_NOISE[options.task], **{name: value for name, value in given.items() if value is not None})
+    noise = noise_of(options, options.task)
     person = average_person()
     if options.calibrate:
-        calibration = calibrate(options.task, noise=noise, n_threads=1, max_iterations=options.iterations)
+        search = {"n_multisines": options.multisines, "max_iterations": options.iterations}
+        calibration = calibrate(options.task, noise=noise, n_threads=1, **search)
         print(calibration.summary())
         person = calibration.candidate.person
     print(noise)

@@ -23,7 +23,7 @@ class Calibrate(Command):
     """Muscle laws to calibrate; the person that is written is that of the full law, the others are for comparison."""
     seed: int = 0
     """Seed of the multisines."""
-    multisines: int = 1
+    multisines: int = 6
     """Sets of multisines and noise that the search sees; what a person fits of a single one is partly its chance."""
     iterations: int = 20
     """Largest number of steps of the search."""

@@ -253,7 +253,7 @@ def calibrate(
     law: str = "full",
     *,
     seed: int = 0,
-    n_multisines: int = 1,
+    n_multisines: int = 6,
     max_iterations: int = 20,
     n_threads: int = 0,
     noise: HumanNoise | None = None,
