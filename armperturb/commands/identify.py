@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START, Estimator
 from armperturb.commands.command import Command, Positional, command_line
 from armperturb.extras import MissingExtraError, naming_the_extra
-from armperturb.files import endings_of, require_no_input
+from armperturb.files import endings_of, require_new_results
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -18,17 +18,23 @@ if TYPE_CHECKING:
     from armperturb.analysis.page.page import Origin
 
 Model = Literal["1", "2", "3", "4", "5", "6", "3a", "3b", "nonlinear", "joint"]
-RESULTS = [
+RESULTS = (
+    "identify.html",
     "admittance.csv",
     "parameters.csv",
     "endpoint.csv",
+    "endpoint.svg",
     "correlations.csv",
     "predictions.csv",
+    "pulses.svg",
+    "joint.svg",
     "fit.json",
     "structure.toml",
+    "structure_*.toml",
     "arm.toml",
-]
-"""Files that are written and may be inputs by their ending."""
+    "arm_*.toml",
+)
+"""Files that are written; * is a condition."""
 
 OF_A_STRUCTURE = ("free", "fix", "bounds", "tie", "prior")
 OF_LINEAR_MODELS = ("estimator", "share", "lines_per_average", "body", "emg", "emg_delay", *OF_A_STRUCTURE)
@@ -105,6 +111,8 @@ class Identify(Command):
     lines_per_average: int = LINES_PER_AVERAGE
     """Adjacent excited lines that are averaged in admittance.csv and by the thesis's estimator; 1 keeps every line and
     needs several trials."""
+    overwrite: bool = False
+    """Replace results of an earlier run in the folder; an input is never replaced."""
 
     @property
     def resumes(self) -> bool:
@@ -126,8 +134,7 @@ class Identify(Command):
         )
         kind = self._kind(recordings)
         self._require_options((kind,))
-        for name in RESULTS:
-            require_no_input(self.out / name)
+        require_new_results(self.out, RESULTS, overwrite=self.overwrite)
         if self.resumes and self.out.exists() and not self.out.is_dir():
             raise ValueError(f"{self.out} is a file; expected a folder, or a new name for one")
         try:
