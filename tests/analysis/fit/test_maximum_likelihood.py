@@ -266,12 +266,14 @@ def test_an_unstable_start_is_made_stable(position_group):
         assert found.values[name] == pytest.approx(value, abs=0.1 * usual.standard_error[name])
 
 
-def test_a_prior_is_weighed_with_the_trials_by_its_width(position_group):
-    structure = position_group.structure
-    usual = estimate([position_group], "frequency")
+@pytest.mark.slow(reason="simulates eight trials")
+def test_a_prior_is_weighed_with_the_trials_by_its_width():
+    quiet = group_of(record(POSITION, 8, noise=0.5), "3b")  # so that the likelihood is normal over two standard errors
+    structure = quiet.structure
+    usual = estimate([quiet], "frequency")
     value, error = usual.values["k_s"], usual.standard_error["k_s"] / np.sqrt(usual.dispersion)
     for width in (0.01 * error, error):
-        known = replace(position_group, structure=structure.knowing(k_s=(value + 2.0 * error, width)))
+        known = replace(quiet, structure=structure.knowing(k_s=(value + 2.0 * error, width)))
         found = estimate([known], "frequency")
         share = error**2 / (error**2 + width**2)
         assert found.converged
