@@ -86,6 +86,10 @@ class HumanNoise:
         names = [f"{part}_{level}" for _, part in _PARTS for level in ("share", "floor")]
         return replace(self, **{name: factor * getattr(self, name) for name in names})
 
+    def without_fast_part(self) -> Self:
+        """Remnant and slow corrections alone, each as it was beside the fast part."""
+        return replace(self, fast_share=0.0, fast_floor=0.0)
+
     def vary(self, subject: Subject, rng: np.random.Generator, accept: Callable[[Subject], bool]) -> Subject:
         """The subject as it is in one trial; the subject itself if all spreads are zero.
 
