@@ -13,7 +13,8 @@ from armperturb.study.validation.report import title
 from armperturb.study.validation.validate import Judged, ValidateSettings, Validation, simulate_group, validate
 from armperturb.subject import POSITION
 
-RECORD = ValidateSettings(groups=4, trials=2, estimators=("record",))
+RECORD = ValidateSettings(groups=16, trials=2, estimators=("record",))
+"""So many groups because the errors of a group's parameters are correlated: those of four can be half the bound."""
 
 pytestmark = pytest.mark.slow(reason="repeats estimates on many simulated groups of trials")
 
@@ -51,14 +52,12 @@ def test_whole_records_come_near_the_bound_and_their_intervals_hold_the_truth(ri
     assert 0.6 < np.median(ratio) < 1.4
     assert max(ratio) < 2.5
     (summary,) = right.estimators_frame().to_dict("records")
-    assert summary["coverage_percent"] > 80.0
+    assert summary["coverage_percent"] > 90.0
     assert summary["converged_percent"] == summary["stable_percent"] == summary["global_percent"] == 100.0
 
 
 def test_the_thesis_is_judged_beside_and_is_far_from_the_bound():
-    found = validate(
-        replace(RECORD, groups=1, trials=1, estimators=("thesis", "record")), workers=1, show_progress=False
-    )
+    found = validate(replace(RECORD, groups=4, estimators=("thesis", "record")), workers=1, show_progress=False)
     thesis, record = (
         [r for r in found.to_frame().to_dict("records") if r["estimator"] == name] for name in ("thesis", "record")
     )
@@ -75,13 +74,14 @@ def test_half_the_noise_halves_the_bound(right):
     assert half.bound[stiffness] == pytest.approx(0.5 * right.bound[stiffness], rel=0.15)
 
 
-@pytest.mark.parametrize("wrong", ["delay", "force-feedback"])
-def test_a_wrong_structure_is_biased_and_flagged_and_has_the_bound_of_the_right_one(wrong, right):
-    found = validate(replace(RECORD, groups=1, trials=8, wrong=wrong), workers=1, show_progress=False)
+# A wrong delay leaves a tenth of what a missing force feedback does: eight trials of so noisy people hardly show it.
+@pytest.mark.parametrize(("wrong", "trials"), [("delay", 24), ("force-feedback", 8)])
+def test_a_wrong_structure_is_biased_and_flagged_and_has_the_bound_of_the_right_one(wrong, trials, right):
+    found = validate(replace(RECORD, groups=1, trials=trials, wrong=wrong), workers=1, show_progress=False)
     (summary,) = found.estimators_frame().to_dict("records")
     assert summary["biased_percent"] == summary["flagged_percent"] == summary["flagged_of_biased_percent"] == 100.0
-    # Four times the trials have half the bound, whatever is wrong; the force feedback is part of the truth.
-    assert np.median(found.bound / right.bound) == pytest.approx(0.5, rel=0.1)
+    # The bound falls with the root of the trials, whatever is wrong; the force feedback is part of the truth.
+    assert np.median(found.bound / right.bound) == pytest.approx(np.sqrt(RECORD.trials / trials), rel=0.1)
 
 
 def test_the_right_structure_is_not_flagged(right):
