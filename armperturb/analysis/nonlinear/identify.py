@@ -11,11 +11,13 @@ import pandas as pd
 import xarray as xr
 
 from armperturb.analysis.defaults import WINDOW_START
+from armperturb.analysis.emg.envelope import Envelopes
 from armperturb.analysis.nonlinear.choice import Choice, compare_laws
 from armperturb.analysis.nonlinear.estimate import N_PAIRS, N_PAIRS_OF_ERRORS, fit, nearest_arms
 from armperturb.analysis.nonlinear.model import Law, Model
 from armperturb.analysis.nonlinear.prediction import PulsePrediction, facts_of, predict_pulses, predict_pulses_linearly
 from armperturb.analysis.nonlinear.result import NonlinearEstimate
+from armperturb.analysis.nonlinear.spindle_emg import usable_emg
 from armperturb.analysis.nonlinear.start import linear_arms
 from armperturb.analysis.nonlinear.trials import fitted_conditions, training_sets
 from armperturb.analysis.results import Description, Result
@@ -100,6 +102,8 @@ def identify_nonlinear(
     folder: Path | None = None,
     progress: Callable[[str], object] | None = None,
     threads: int = 1,
+    emg: Envelopes | None = None,
+    emg_delay: float = 0.0,
     n_pairs: int = N_PAIRS,
     n_pairs_of_errors: int = N_PAIRS_OF_ERRORS,
 ) -> NonlinearIdentification:
@@ -114,11 +118,13 @@ def identify_nonlinear(
       folder: for checkpoints; fits that were stopped there go on.
       progress: called with a line after each step.
       threads: how many simulate at a time; no effect on the result.
+      emg: of all trials, to be used beside the movement; delays of reflexes are then estimated too.
+      emg_delay: time by which muscles answer later than their EMG, beyond the activation dynamics [s].
       n_pairs: pairs of draws of the noise, see `fit`.
       n_pairs_of_errors: pairs of draws from which errors are estimated.
 
     Raises:
-      ValueError: the recording is refused or cannot be identified, or the law is unknown.
+      ValueError: the recording is refused or cannot be identified, the law is unknown, or EMG cannot be used with it.
       OSError: a checkpoint cannot be written.
       ModuleNotFoundError: numba is not installed.
     """
@@ -127,6 +133,8 @@ def identify_nonlinear(
         raise ValueError(
             "law = 'half-wave' of trials without reflexes (task RT); expected trials of the task PT (or --law full)"
         )
+    if emg is not None and law in ("half-wave", "choose"):
+        raise ValueError(f"law = {law!r} with EMG; expected full, short-range or linear (or the movement alone)")
     directions = list(pulse_directions_deg)
     sets = fitted_conditions(recording)
     recorded = {float(deg) for trials in sets.values() for deg in trials.direction_deg if not np.isnan(deg)}
@@ -144,7 +152,9 @@ def identify_nonlinear(
         choice = compare_laws(fitted, arms, left_out, mechanisms=True, checkpoint=folder, **options)
         estimate = choice.estimate
     else:
-        estimate = fit(fitted, arms, Model(law=law), checkpoint=folder and folder / "checkpoint.json.gz", **options)
+        used = usable_emg(sets, arms, emg, emg_delay) if emg else {}
+        model = Model(law=law, free=("Td",) if used else ())
+        estimate = fit(fitted, arms, model, emg=used, checkpoint=folder and folder / "checkpoint.json.gz", **options)
     pulses: dict[str, list[PulsePrediction]] = {"nonlinear": [], "linear": [], "skeletal": []}
     everywhere = nearest_arms(list(sets.values()), arms)
     for trials in left_out:
