@@ -18,7 +18,6 @@ from armperturb.convert.importer import import_recording
 from armperturb.recording_files import load_recording, save_recording
 from armperturb.subject import POSITION
 
-
 RELAX = Path(__file__).parents[2] / "examples" / "data" / "relax.nc"
 PLAN = ["--goal", "mass", "--force", "5", "--displacement", "0.01", "--duration", "9.2", "--trials", "1"]
 

@@ -38,18 +38,22 @@ class NonlinearIdentification(Result):
       arms: condition to its linear arm.
       pulses: "nonlinear", "linear" and "skeletal" (linear muscle on the nonlinear skeleton) to their predictions of
         the pulses that were left out, all in the same order.
+      emg: conditions whose EMG was used beside the movement.
     """
 
     estimate: NonlinearEstimate
     choice: Choice | None
     arms: Mapping[str, Subject]
     pulses: Mapping[str, tuple[PulsePrediction, ...]]
+    emg: tuple[str, ...] = ()
 
     def describe(self) -> Description:
         """The estimate, why its law was chosen, and how well the models predict the left-out pulses."""
         estimate = self.estimate.describe()
         pulses = facts_of({f"{model} model": pulses for model, pulses in self.pulses.items()})
-        return replace(estimate, facts=(*estimate.facts, *(self.choice.verdict() if self.choice else ()), *pulses))
+        used = (f"EMG of {', '.join(self.emg)} used beside the movement",) if self.emg else ()
+        verdict = self.choice.verdict() if self.choice else ()
+        return replace(estimate, facts=(*estimate.facts, *used, *verdict, *pulses))
 
     def to_frame(self) -> pd.DataFrame:
         """One row per free parameter, with the columns of `results.PARAMETER_COLUMNS`."""
@@ -148,11 +152,11 @@ def identify_nonlinear(
         n_pairs=n_pairs, n_pairs_of_errors=n_pairs_of_errors, progress=progress, threads=threads
     )
     choice = None
+    used = usable_emg(sets, arms, emg, emg_delay) if emg else {}
     if law == "choose":
         choice = compare_laws(fitted, arms, left_out, mechanisms=True, checkpoint=folder, **options)
         estimate = choice.estimate
     else:
-        used = usable_emg(sets, arms, emg, emg_delay) if emg else {}
         model = Model(law=law, free=("Td",) if used else ())
         estimate = fit(fitted, arms, model, emg=used, checkpoint=folder and folder / "checkpoint.json.gz", **options)
     pulses: dict[str, list[PulsePrediction]] = {"nonlinear": [], "linear": [], "skeletal": []}
@@ -167,4 +171,5 @@ def identify_nonlinear(
         choice=choice,
         arms=arms,
         pulses={model: tuple(predicted) for model, predicted in pulses.items()},
+        emg=tuple(used),
     )

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import fft
+from scipy.interpolate import CubicSpline
 
 from armperturb.analysis.emg.envelope import Envelopes
 from armperturb.analysis.emg.outputs import ReflexOutputs, reflex_outputs
@@ -111,7 +112,8 @@ class SpindleEmg(Whittle):
         self._s = 2j * np.pi * spectra.frequency
         turned = _rotation(outputs, arm)
         groups = np.stack([turned[..., 0], turned.sum(axis=-1), turned[..., 1]], axis=-1)
-        self._speed = np.gradient(groups, 1.0 / outputs.rate, axis=1)
+        time = np.arange(groups.shape[1]) / outputs.rate
+        self._speed = np.asarray(CubicSpline(time, groups, axis=1)(time, 1))
         self._stretch = spectra(groups)
         self._joints = [(output, "se".index(joint)) for output, group in enumerate(outputs.groups) for joint in group]
         self._seen_at: tuple[float, ComplexArray] = np.nan, self._stretch
@@ -182,7 +184,7 @@ class SpindleEmg(Whittle):
         normal = self.normal(values, np.eye(values.shape[1])[:, N_REFLEX:])
         inverse = np.linalg.pinv(normal.information, hermitian=True)
         values[:, N_REFLEX:] = self._gains = self._gains + inverse @ normal.slope
-        return values, inverse
+        return values, np.asarray(inverse)
 
     def weigh_at(self, reflexes: Array) -> None:
         """Estimate the noise that is left by trials with these `reflex_values`, (trial, value)."""
