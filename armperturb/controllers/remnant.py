@@ -39,9 +39,9 @@ _VARIED = ("b", "k", "kv", "kp")
 class HumanNoise:
     """How noisy a person is in one task; every part is off at zero, and all are by default.
 
-    The torque at a joint is two low-passed white noises, independent between joints, each with an RMS of
+    The torque at a joint is three low-passed white noises, independent between joints, each with an RMS of
     hypot(floor, share x demand), where the demand is the RMS torque with which the perturbation of the trial loads the
-    joint. Both start at zero with the person at rest, and reach their RMS after about one period of their cut-off.
+    joint. All start at zero with the person at rest, and reach their RMS after about one period of their cut-off.
 
     Attributes:
       remnant_share: RMS of the remnant as a share of the demand [-], >= 0.

@@ -1,7 +1,7 @@
 """The picture of the identification page: impedance at the hand of one simulated person in both tasks.
 
-Run `python docs/figures/endpoint.py FOLDER`. It simulates four trials of the average person in each task, with noise of
-people and instruments, identifies the arm, and writes endpoint.png into FOLDER.
+Run `python docs/figures/endpoint.py FOLDER`. It simulates sixteen trials of the average person in each task, with noise
+of people and instruments, identifies the arm, and writes endpoint.png into FOLDER.
 """
 
 import sys
@@ -25,7 +25,7 @@ def identified(task: str) -> EndpointImpedance:
     noise = ap.HUMAN_NOISE[subject.task]
     trials = [
         ap.Trial(subject=subject, perturbation=ap.Multisine.draw(seed=seed, rms=rms), noise=noise, seed=seed)
-        for seed in range(4)
+        for seed in range(16)
     ]
     result = ap.identify(ap.run_experiment(trials, instruments=ap.Instruments()), model)
     print(result.endpoint())
