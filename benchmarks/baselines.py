@@ -1,4 +1,4 @@
-"""What agents reach in the environments: policies that learn nothing, and two methods that learn, three seeds each.
+"""What agents reach in the environments: policies that learn nothing, and two methods that learn, some seeds each.
 
 Run `python -m benchmarks.baselines --out FOLDER`; it needs the extra `baselines`. Methods are those of
 `benchmarks.policies`. FOLDER gets a file for each training, which a second run does not train again, the learning
@@ -24,7 +24,6 @@ from armperturb.plots.style import GREY, PALETTE, in_style, new_figure, save_png
 from benchmarks.policies import JUDGED, METHODS, judge, untrained
 
 TASKS = ("Position", "Relax", "Pulse")
-SEEDS = 3
 
 
 def environment(task: str) -> str:
@@ -91,7 +90,8 @@ def draw_curves(results: dict[tuple[str, str], list[dict[str, Any]]], file: Path
             curves = [np.array(each["curve"]) for each in results[task, method]]
             decisions, rewards = curves[0][:, 0] / 1e6, np.array([curve[:, 1] for curve in curves])
             middle, half = np.transpose([interval(of_moment) for of_moment in rewards.T])
-            ax.fill_between(decisions, middle - half, middle + half, color=colour, alpha=0.15, linewidth=0)
+            if len(curves) > 2:  # of two the interval is wider than the picture
+                ax.fill_between(decisions, middle - half, middle + half, color=colour, alpha=0.15, linewidth=0)
             ax.plot(decisions, rewards.T, color=colour, linewidth=0.5)
             ax.plot(decisions, middle, color=colour, linewidth=1.6, label=method)
         ax.set(title=task, xlabel="decisions [million]", ylim=(max(0.4, own - 0.15), min(1.01, own + 0.17)))
@@ -122,12 +122,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, help="folder of the results")
     parser.add_argument("--jobs", type=int, default=2, help="trainings side by side")
+    parser.add_argument("--seeds", type=int, default=3, help="trainings of a method in an environment, at least 2")
     parser.add_argument("--ship", action="store_true", help="write the best policies into the package")
     asked = parser.parse_args()
     if find_spec("stable_baselines3") is None:  # before the trainings that need it fail, and the others with them
         parser.error("stable-baselines3 is not installed; expected `pip install 'armperturb[baselines]'`")
     asked.out.mkdir(parents=True, exist_ok=True)
-    wanted = [(task, method, seed) for method in METHODS for seed in range(SEEDS) for task in TASKS]
+    wanted = [(task, method, seed) for method in METHODS for seed in range(asked.seeds) for task in TASKS]
     left = [each for each in wanted if not training_file(asked.out, *each).exists()]
     with ProcessPoolExecutor(asked.jobs, mp_context=get_context("spawn")) as pool:
         waiting = {pool.submit(train, *each): each for each in left}

@@ -51,6 +51,9 @@ for row in table[table["goal"] == 1].itertuples():
     print(f"{row.parameter:6} {row.value:6.2f}: 10 % after {needed[0]:3} trials of the thesis, {needed[1]:3} optimised")
 
 # %% [markdown]
+# Position feedback at the shoulder is next to nothing in this person, and 10 % of it is less than any experiment can
+# tell: ask there for an error in Nm/rad.
+#
 # The prediction is a lower bound for a person who is the same in every trial and as the pilot says. [Known
 # limits](../design.md#known-limits) of a plan include people who vary from trial to trial and muscles that are not
 # linear.

@@ -39,9 +39,9 @@ _VARIED = ("b", "k", "kv", "kp")
 class HumanNoise:
     """How noisy a person is in one task; every part is off at zero, and all are by default.
 
-    The torque at a joint is two low-passed white noises, independent between joints, each with an RMS of
+    The torque at a joint is three low-passed white noises, independent between joints, each with an RMS of
     hypot(floor, share x demand), where the demand is the RMS torque with which the perturbation of the trial loads the
-    joint. Both start at zero with the person at rest, and reach their RMS after about one period of their cut-off.
+    joint. All start at zero with the person at rest, and reach their RMS after about one period of their cut-off.
 
     Attributes:
       remnant_share: RMS of the remnant as a share of the demand [-], >= 0.
@@ -85,6 +85,10 @@ class HumanNoise:
         """The noise with `factor` times the torque; what differs from trial to trial stays."""
         names = [f"{part}_{level}" for _, part in _PARTS for level in ("share", "floor")]
         return replace(self, **{name: factor * getattr(self, name) for name in names})
+
+    def without_fast_part(self) -> Self:
+        """Remnant and slow corrections alone, each as it was beside the fast part."""
+        return replace(self, fast_share=0.0, fast_floor=0.0)
 
     def vary(self, subject: Subject, rng: np.random.Generator, accept: Callable[[Subject], bool]) -> Subject:
         """The subject as it is in one trial; the subject itself if all spreads are zero.

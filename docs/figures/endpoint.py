@@ -1,7 +1,7 @@
 """The picture of the identification page: impedance at the hand of one simulated person in both tasks.
 
-Run `python docs/figures/endpoint.py FOLDER`. It simulates eight trials of the thesis's mean arm in each task, with noise of
-people and instruments, identifies the arm, and writes endpoint.png into FOLDER.
+Run `python docs/figures/endpoint.py FOLDER`. It simulates sixteen trials of the average person in each task, with noise
+of people and instruments, identifies the arm, and writes endpoint.png into FOLDER.
 """
 
 import sys
@@ -20,12 +20,12 @@ def main(folder: Path) -> None:
 
 
 def identified(task: str) -> EndpointImpedance:
-    """Of the mean arm of the thesis, which is linear, in one task."""
+    """Of the average person, who is linear, in one task."""
     subject, rms, model = {"position": (ap.POSITION, 5.4, "3b"), "relax": (ap.RELAX, 1.2, "1")}[task]
     noise = ap.HUMAN_NOISE[subject.task]
     trials = [
         ap.Trial(subject=subject, perturbation=ap.Multisine.draw(seed=seed, rms=rms), noise=noise, seed=seed)
-        for seed in range(8)
+        for seed in range(16)
     ]
     result = ap.identify(ap.run_experiment(trials, instruments=ap.Instruments()), model)
     print(result.endpoint())

@@ -45,6 +45,9 @@ CIRCULAR = 5.99
 """Squared length of the longer axis's excess over its error below which an ellipse may be a circle: the 95 % quantile
 of chi-squared with two degrees of freedom [-]."""
 
+ROUNDING = 1e-12
+"""Of the power of errors, relative to the largest [-]."""
+
 QUANTITIES = {"stiffness": "N/m", "static stiffness": "N/m", "damping": "Ns/m", "inertia": "kg"}
 """Quantity to the unit of its matrix: intrinsic stiffness, and that with position and force feedback at rest."""
 
@@ -100,9 +103,12 @@ class EndpointMatrix:
         parts, slope = self._parts()
         if not np.isfinite(self.covariance).all():
             return False
-        (a, b), (_, c) = slope[1:] @ self.covariance @ slope[1:].T
-        u, v = parts[1:]
-        return bool(c * u * u - 2 * b * u * v + a * v * v < CIRCULAR * (a * c - b * b)) or u == v == 0.0
+        power, directions = np.linalg.eigh(slope[1:] @ self.covariance @ slope[1:].T)
+        if not power[-1] > 0.0:
+            return not parts[1:].any()
+        # Where one number is estimated, as the mass, u and v vary together, and the power across is rounding.
+        across = np.maximum(power, ROUNDING * power[-1])
+        return bool(np.sum((parts[1:] @ directions) ** 2 / across) < CIRCULAR)
 
     def entry_interval(self, level: float = 0.95) -> tuple[Array, Array]:
         """Limits of the matrix's entries, (axis, axis) each."""

@@ -11,7 +11,8 @@ its spectrum. Co-contraction is read off the intrinsic stiffness, zero at that o
 the activation dynamics, as electrodes pick up what the nerve sends. Each electrode picks up a share of its neighbours
 (`NEIGHBOURS`) as well. In a trial of maximal contraction all muscles are fully active for a while (`CONTRACTED`). With
 fatigue, amplitude grows with the activation that was, while the spectrum stays. Remnant and slow corrections show if
-`effort` says so. What the model leaves out: tremor, and the fall of the spectrum with fatigue.
+`effort` says so; the fast part of the remnant does not, as the activation dynamics would let none of it become torque.
+What the model leaves out: tremor, and the fall of the spectrum with fatigue.
 """
 
 from dataclasses import dataclass

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from armperturb.environment import TIMESTEP, Environment, Strap
 from armperturb.envs.lab.emg import HIGHPASS_ORDER, Emg, effort_excitation
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.linear_trials import simulate_linear_arms
-from armperturb.envs.lab.multibody_trials import simulate_multibody
+from armperturb.envs.lab.multibody_trials import REFINEMENTS, simulate_multibody
 from armperturb.envs.lab.setup import Progress, Setup, Truth, in_threads
 from armperturb.envs.lab.trial import (
     EMG,
@@ -76,8 +77,8 @@ def run_experiment(
 
     Raises:
       TypeError: strap is something else.
-      ValueError: no trials, a subject that is unstable on the environment or too fast for the step, a perturbation with
-        content above 45 % of the simulation rate, too short or too long, or rates that do not fit.
+      ValueError: no trials, a subject that is unstable on the environment or too fast for a quarter of the step, a
+        perturbation with content above 45 % of the simulation rate, too short or too long, or rates that do not fit.
       RuntimeError: MuJoCo could not integrate a trial that stayed inside the workspace.
     """
     if not trials:
@@ -96,7 +97,7 @@ def run_experiment(
     n_threads = n_threads or os.cpu_count() or 1
     subjects = [subject_in(trial, setup.environment, strap) for trial in trials]
     for subject in dict.fromkeys(subjects):  # as varied: the person on average may be slow enough where this is not
-        require_integrable(subject, setup.environment, strap, timestep)
+        require_integrable(subject, setup.environment, strap, timestep / REFINEMENTS[-1])
     simulate = simulate_linear_arms if linear else simulate_multibody
     return recorded(trials, subjects, setup, simulate(trials, subjects, setup, n_threads, progress), n_threads)
 
@@ -171,7 +172,10 @@ def _voltages(
 
     def read(i: int) -> None:
         seen, every = excitation[i], round(1.0 / (rate * setup.timestep))
-        torque = noise_torque(trials[i], setup.timestep, n * every) if emg.effort else None
+        noise = trials[i].noise
+        # The fast part is no torque of muscles: their activation is too slow to make it.
+        slow = replace(trials[i], noise=noise and noise.without_fast_part())
+        torque = noise_torque(slow, setup.timestep, n * every) if emg.effort else None
         if torque is not None:
             seen = seen + emg.effort * effort_excitation(subjects[i], torque[::every], rate)
         emg.read(subjects[i], seen, rate, trials[i].generator(EMG), trials[i].contraction, volts[i])

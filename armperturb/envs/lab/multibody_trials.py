@@ -6,19 +6,21 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from armperturb.analysis.arm.state_space import fastest_pole
 from armperturb.arrays import Array
 from armperturb.envs.lab.compiled_simulation import CompiledSimulation
 from armperturb.envs.lab.setup import Progress, Setup, Truth, flushed, in_threads
 from armperturb.envs.lab.simulation import Simulation, silent_simulator
 from armperturb.envs.lab.stepping import ANGLE, EXCITATION, FORCE, HANDLE, SHOULDER
-from armperturb.envs.lab.trial import Trial, known_ahead
+from armperturb.envs.lab.trial import RK4_LIMIT, Trial, known_ahead
 from armperturb.models.rig import AHEAD
 from armperturb.planar_arm.lanes import GROUP
 from armperturb.subject import Subject
 
 REFINEMENTS = (1, 2, 4)
 """Parts into which the step of a trial is cut, one number after the other, until it can be integrated. An arm that its
-reflexes swing may stretch its elbow, whose snap through the singular posture is too fast for one step."""
+reflexes swing may stretch its elbow, whose snap through the singular posture is too fast for one step; and a person
+who is slow enough for the step on average may be too fast in one trial."""
 
 LEAP = 10.0
 """Displacement over the workspace limit [-] to which only an arm that diverges gets within a sample."""
@@ -69,9 +71,10 @@ def simulate_multibody(
         return int(reached[0]) if len(reached) else None
 
     def read(i: int, push: Array, log: Array, diverged: bool) -> tuple[Array, Array, float]:
-        finer = iter(REFINEMENTS[1:])
-        while (end := limit(log, diverged)) == -1:
-            if (parts := next(finer, None)) is None:
+        parts, finer = REFINEMENTS[0], iter(REFINEMENTS[1:])
+        needed = fastest_pole(subjects[i], setup.environment, setup.strap) * timestep / RK4_LIMIT
+        while (end := limit(log, diverged)) == -1 or parts < needed:
+            if not (parts := next(finer, 0)):
                 raise RuntimeError(
                     f"trial {i} of subject {trials[i].subject.name!r} could not be integrated; expected finite motion "
                     "(a weaker perturbation or a smaller step)"

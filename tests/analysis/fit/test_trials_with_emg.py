@@ -68,7 +68,8 @@ def test_slopes_of_long_records_are_those_of_the_derivatives(group, monkeypatch)
 @pytest.mark.slow(reason="simulates four trials with EMG")
 def test_effort_that_shows_in_the_emg_raises_doubt(studies, group):
     assert estimate([group]).p_value > 0.01
-    shown = estimate([with_emg(recorded(studies.perturbed(POSITION, 5.4, 4, noise=NOISE), 1.0))])
+    slow = NOISE.without_fast_part()  # which never shows, and hides in the movement what does
+    shown = estimate([with_emg(recorded(studies.perturbed(POSITION, 5.4, 4, noise=slow), 1.0))])
     assert shown.p_value < 1e-4
 
 
@@ -76,6 +77,16 @@ def test_effort_that_shows_in_the_emg_raises_doubt(studies, group):
 def test_faster_samples_are_taken_as_slowly_as_those_of_the_movement(studies):
     recording = recorded(studies.perturbed(POSITION, 5.4, 3, noise=NOISE), 0.0, timestep=1e-3, rate=1000.0)
     assert estimate([with_emg(recording)]).p_value > 0.01
+
+
+def test_the_fast_part_of_the_remnant_does_not_show(studies):
+    """Without reflexes nothing but effort shows, which is the same beside a fast part."""
+    arm = replace(POSITION, kv_s=0.0, kv_se=0.0, kv_e=0.0, kp_s=0.0, kp_se=0.0, kp_e=0.0)
+    read = [
+        recorded(studies.perturbed(arm, 5.4, 1, noise=noise), 1.0)["emg"].values
+        for noise in (replace(NOISE, fast_share=1.0), replace(NOISE, fast_share=0.0))
+    ]
+    np.testing.assert_array_equal(*read)
 
 
 def test_excitation_is_what_makes_the_torque():

@@ -170,6 +170,15 @@ def test_a_circle_has_no_orientation():
     assert "static stiffness" not in found.matrices
 
 
+@pytest.mark.parametrize("error", [1e-4, 0.003, 0.01, 0.03, 0.05])
+def test_inertia_of_tied_masses_has_an_exact_shape_and_orientation(error):
+    masses = np.array([error * getattr(POSITION, name) * (name in ("m_h", "m_f")) for name in PARAMETERS])
+    inertia = endpoint_impedance(POSITION, np.outer(masses, masses))["inertia"]
+    assert not inertia.is_circular
+    assert tuple(inertia.shape_interval()) == pytest.approx((inertia.shape, inertia.shape))
+    assert tuple(inertia.orientation_interval()) == pytest.approx((inertia.orientation_deg,) * 2, abs=1e-3)
+
+
 def test_what_the_data_do_not_identify_has_no_limits():
     covariance = NOTHING.copy()
     covariance[PARAMETERS.index("k_se"), PARAMETERS.index("k_se")] = np.inf

@@ -296,7 +296,7 @@ def test_bad_straps_are_named(change, error, message):
         (
             {"strap": Strap(stiffness=1e9)},
             ValueError,
-            "fastest pole of arm, environment and strap = .*; expected at most 1000 1/s at a step of 0.0025 s",
+            "fastest pole of arm, environment and strap = .*; expected at most 4000 1/s at a step of 0.000625 s",
         ),
     ],
 )

@@ -30,7 +30,7 @@ NAMES = tuple(TASKS)
 EACH = pytest.mark.parametrize("name", NAMES)
 pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")  # that of version 0
 SHORT = {"duration": 0.6, "onset_window": (0.1, 0.2)}
-PERSON = draw_person(0, 2)
+PERSON = draw_person(0, 0)  # whose level in PT22.5 can be doubled at the usual step
 CALM = {"noise": False, "perturbation": "none"}
 LINEAR = {"person": "published", "co_contraction": "common"}
 

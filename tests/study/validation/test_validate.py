@@ -74,7 +74,7 @@ def test_half_the_noise_halves_the_bound(right):
     assert half.bound[stiffness] == pytest.approx(0.5 * right.bound[stiffness], rel=0.15)
 
 
-# In so noisy people a wrong delay leaves a tenth of what a missing force feedback does: eight trials hardly ever show it.
+# A wrong delay leaves a tenth of what a missing force feedback does: eight trials of so noisy people hardly show it.
 @pytest.mark.parametrize(("wrong", "trials"), [("delay", 24), ("force-feedback", 8)])
 def test_a_wrong_structure_is_biased_and_flagged_and_has_the_bound_of_the_right_one(wrong, trials, right):
     found = validate(replace(RECORD, groups=1, trials=trials, wrong=wrong), workers=1, show_progress=False)
