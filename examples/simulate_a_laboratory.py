@@ -97,7 +97,7 @@ print(table.head(8).round(2).to_string(index=False))
 
 # %% [markdown]
 # The intervals that are shown hold the truth. They are wide, because people who keep the position add torque of their
-# own, which two trials do not average out; the study's default protocol has eight in this condition. The muscles of these
+# own, which two trials do not average out; the default protocol has eight in this condition. The muscles of these
 # people also vary by 8 % from trial to trial, which intervals from two trials cannot contain
 # ([Identification](../method.md#accuracy-in-a-study)).
 #
