@@ -18,8 +18,10 @@ Of the first 20 people of seeds from 10000 on, short-range stiffness alone was d
 trials in 19 / 17, with 1 trial in 14 / 12; the same people with the whole law had been looked at before.
 """
 
+import argparse
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -70,14 +72,15 @@ def recording_of(muscles: str, condition: str, seeds: range) -> xr.Dataset:
             force = Multisine.draw(seed=number, rms=FORCES[condition], duration=DURATION, crested=False)
             trials.append(Trial(subject=subject, perturbation=force, condition=condition, seed=number, noise=noise))
     instruments = Instruments(emg=None, marker_noise=None)
-    return run_experiment(trials, linear=muscles == "linear", instruments=instruments, n_threads=1)
+    # The compiled engine moves people as MuJoCo does within 2e-4, and some ten times as fast.
+    return run_experiment(trials, linear=muscles == "linear", engine="compiled", instruments=instruments, n_threads=1)
 
 
-def judge(muscles: str, condition: str) -> None:
+def judge(muscles: str, condition: str, n_people: int) -> None:
     """Detection and levels; trials that reached the workspace limit are left out."""
     began = time.process_time()
     found: dict[int, list] = {n_trials: [] for n_trials in TRIALS}
-    last = FIRST_SEED + N_PEOPLE[muscles]
+    last = FIRST_SEED + n_people
     for first in range(FIRST_SEED, last, BATCH):
         recording = recording_of(muscles, condition, range(first, min(first + BATCH, last)))
         for i in range(0, recording.sizes["trial"], TRIALS[0]):
@@ -102,14 +105,18 @@ def judge(muscles: str, condition: str) -> None:
     print(f"    CPU {time.process_time() - began:.0f} s", flush=True)
 
 
-def main() -> None:
-    chosen = sys.argv[1:] or list(N_PEOPLE)
-    for muscles in chosen:
+def main(arguments: Sequence[str] = ()) -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("muscles", nargs="*", help=f"some of {', '.join(N_PEOPLE)}; all by default")
+    parser.add_argument("--conditions", nargs="+", choices=list(FORCES), default=list(FORCES))
+    parser.add_argument("--people", type=int, default=None, help="of each kind")
+    options = parser.parse_args(arguments)
+    for muscles in options.muscles or list(N_PEOPLE):
         if muscles not in N_PEOPLE:
-            raise SystemExit(f"{muscles!r}; expected some of {', '.join(N_PEOPLE)}")
-        for condition in FORCES:
-            judge(muscles, condition)
+            parser.error(f"{muscles!r}; expected some of {', '.join(N_PEOPLE)}")
+        for condition in options.conditions:
+            judge(muscles, condition, options.people or N_PEOPLE[muscles])
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

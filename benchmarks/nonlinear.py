@@ -1,9 +1,9 @@
 """Nonlinear identification against known truth: the default cohort under the thesis's protocol.
 
 Run `python -m benchmarks.nonlinear [--people N ...] [--parts RT ...] [--seeds N ...] [--workers N] [--recordings
-FOLDER]`. All of it takes two hours on 4 cores; tables are printed after each fit, so that a run may be stopped.
-`--people 2 5` and `--seeds 0 3 4` are those people and seeds alone. `--recordings` takes S01.nc ... of a study that was
-simulated before (seed 0) instead of simulating one. Each worker simulates in one thread.
+FOLDER] [--pairs N]`. All of it takes two hours on 4 cores; tables are printed after each fit, so that a run may be
+stopped. `--people 2 5` and `--seeds 0 3 4` are those people and seeds alone. `--recordings` takes S01.nc ... of a study
+that was simulated before (seed 0) instead of simulating one. Each worker simulates in one thread.
 
 Parts:
 
@@ -34,6 +34,7 @@ from pathlib import Path
 import numpy as np
 
 from armperturb.analysis.nonlinear.choice import compare_laws
+from armperturb.analysis.nonlinear.estimate import N_PAIRS
 from armperturb.analysis.nonlinear.identify import identify_nonlinear
 from armperturb.analysis.nonlinear.model import coordinate, true_values
 from armperturb.analysis.nonlinear.prediction import PulsePrediction, median_peak, predict_pulses
@@ -144,13 +145,13 @@ def _ratio(estimate: NonlinearEstimate, known: Mapping[str, float]) -> tuple[flo
     return error, claimed, abs(error) < quantile(0.95) * claimed
 
 
-def fit_person(part: str, path: Path, truth: Person) -> tuple[str, Results]:
+def fit_person(part: str, path: Path, truth: Person, n_pairs: int = N_PAIRS) -> tuple[str, Results]:
     """Identify a person in one task, and compare with what is known; says how that went."""
     results, task, recording = Results(), part[:2], load_recording(path)
     recording = recording.isel(trial=np.flatnonzero(recording["task"].values == task))
     clock, processor = time.perf_counter(), time.process_time()
     directions = [FITTED_DIRECTION] if part.endswith("+") else []
-    found = identify_nonlinear(recording, pulse_directions_deg=directions)
+    found = identify_nonlinear(recording, pulse_directions_deg=directions, n_pairs=n_pairs)
     clock, processor = time.perf_counter() - clock, time.process_time() - processor
     estimate = found.estimate
     results.seconds[part].append((clock, processor))
@@ -202,6 +203,7 @@ def main(arguments: Sequence[str] = ()) -> None:
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
     parser.add_argument("--seeds", type=int, nargs="+", default=list(range(20)))
     parser.add_argument("--workers", type=int, default=4)
+    parser.add_argument("--pairs", type=int, default=N_PAIRS, help="of noise draws in predictions; 0 leaves noise out")
     parser.add_argument("--recordings", type=Path, default=None)
     options = parser.parse_args(arguments)
     results, of_people = Results(), [part for part in options.parts if not part.startswith("linear")]
@@ -213,7 +215,7 @@ def main(arguments: Sequence[str] = ()) -> None:
         if of_people and options.recordings is None:
             record_study(StudySettings(subjects=max(options.people)), Path(folder), workers=options.workers)
         jobs = [
-            pool.submit(fit_person, part, recordings / f"S{number:02d}.nc", draw_person(0, number - 1))
+            pool.submit(fit_person, part, recordings / f"S{number:02d}.nc", draw_person(0, number - 1), options.pairs)
             for part in of_people
             for number in options.people
         ]

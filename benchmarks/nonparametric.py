@@ -1,6 +1,7 @@
 """Estimates without an arm model beside each other, and beside the parametric one, where the truth is known.
 
-Run by `python -m benchmarks.nonparametric`; some 3 min of one core. For each case and method: the RMS over frequencies
+Run by `python -m benchmarks.nonparametric [NAME ...]`; some 3 min of one core for all cases, less for those whose names
+begin with one of `NAME` ("PT"). For each case and method: the RMS over frequencies
 to 20 Hz of |estimate - truth| / |truth| (norms of the matrices; mean and largest of the seeds), the order that was
 chosen (median), the largest pole of any seed, how large the error is beside its own standard deviation (1 if the
 covariance is right), and processor time from the recording on. Frequencies are those at which the spectral estimates
@@ -9,8 +10,9 @@ A second table has the error of ARX models by the order that is chosen for the r
 information criterion, and by that which would have been best.
 """
 
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -183,10 +185,11 @@ def orders(recording: xr.Dataset, truth: Any, frequency: Any) -> dict[str, tuple
     return {way: (order, error[order - 1]) for way, order in chosen.items()}
 
 
-def main() -> None:
-    compare_methods()
+def main(names: Sequence[str] = ()) -> None:
+    cases = [case for case in CASES if case.name.startswith(tuple(names) or "")]
+    compare_methods(cases)
     print(f"\n{'case':28}" + "".join(f"{way:>20}" for way in ("chosen", "BIC", "best")) + "   error [%] (order)")
-    for case in CASES:
+    for case in cases:
         if case.model is None:
             continue
         found = []
@@ -200,10 +203,10 @@ def main() -> None:
         print(f"{case.name:28}{line}", flush=True)
 
 
-def compare_methods() -> None:
+def compare_methods(cases: Sequence[Case]) -> None:
     columns = ("error [%]", "largest", "order", "pole", "|e|/sd", "CPU [ms]")
     print(f"{'case':28} {'method':12}" + "".join(f"{column:>10}" for column in columns))
-    for case in CASES:
+    for case in cases:
         recordings = [case.record(seed) for seed in range(SEEDS)]
         whole = [one.assign_coords(pulse_onset=one["pulse_onset"] * np.nan) for one in recordings[:1]]
         frequency = estimate_spectra(line_spectra(whole[0])).frequency
@@ -227,4 +230,4 @@ def compare_methods() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])
