@@ -1,9 +1,10 @@
-"""What agents reach in the environments: policies that learn nothing, and two methods that learn, some seeds each.
+"""What agents reach in the environments: policies that learn nothing, and two methods that learn, with some seeds each.
 
-Run `python -m benchmarks.baselines --out FOLDER`; it needs the extra `baselines`. Methods are those of
-`benchmarks.policies`. FOLDER gets a file for each training, which a second run does not train again, the learning
-curves as `learning_curves.png`, and the table of docs/environments.md as `table.md`. With --ship the package gets, of
-each environment, the policy that earned most on the trials of its learning curve; all are judged on other ones.
+Run `python -m benchmarks.baselines --out FOLDER --seeds 1`, as docs/environments.md has it; it needs the extra
+`baselines`. Methods are those of `benchmarks.policies`. FOLDER gets a file for each training, which a second run does
+not train again, the learning curves as `learning_curves.png`, and the table of docs/environments.md as `table.md`. With
+--ship the package gets, of each environment, the policy that earned most on the trials of its learning curve; all are
+judged on other ones.
 """
 
 import argparse
@@ -53,7 +54,7 @@ def interval(values: Array) -> tuple[float, float]:
 def table(results: dict[tuple[str, str], list[dict[str, Any]]]) -> str:
     """Mean reward of each policy in each task, the best first.
 
-    Means of what learns nothing have the interval over trials, those of trained policies that over trainings.
+    Means of what learns nothing, and of a single training, have the interval over trials, others that over trainings.
     """
     lines = [
         "| environment | policy | mean reward, 95 % | trainings | success | SDs of observations | s |",
@@ -65,11 +66,13 @@ def table(results: dict[tuple[str, str], list[dict[str, Any]]]) -> str:
             judged = judge(environment(task), act)
             rows.append((*interval(judged["rewards"]), policy, "", [judged], ""))
         for method in METHODS:
-            trained = results[task, method]
+            if not (trained := results.get((task, method))):
+                continue
             means = [float(np.mean(each["judged"]["rewards"])) for each in trained]
             each_mean = ", ".join(f"{mean:.3f}" for mean in means)
             seconds = f"{np.mean([each['seconds'] for each in trained]):.0f}"
-            rows.append((*interval(means), method, each_mean, [each["judged"] for each in trained], seconds))
+            over = means if len(means) > 1 else trained[0]["judged"]["rewards"]
+            rows.append((*interval(over), method, each_mean, [each["judged"] for each in trained], seconds))
         for mean, half, policy, each_mean, judged, seconds in sorted(rows, key=lambda row: -row[0]):
             spread = np.array([each["observation_sd"] for each in judged])
             success = sum(each["success"] for each in judged)
@@ -87,14 +90,17 @@ def draw_curves(results: dict[tuple[str, str], list[dict[str, Any]]], file: Path
         own = np.mean(judge(environment(task), untrained(environment(task))["own action"])["rewards"])
         ax.axhline(own, color=GREY, linestyle=":", label="own action")
         for method, colour in zip(METHODS, PALETTE, strict=False):
-            curves = [np.array(each["curve"]) for each in results[task, method]]
+            curves = [np.array(each["curve"]) for each in results.get((task, method), [])]
+            if not curves:
+                continue
             decisions, rewards = curves[0][:, 0] / 1e6, np.array([curve[:, 1] for curve in curves])
-            middle, half = np.transpose([interval(of_moment) for of_moment in rewards.T])
+            middle = rewards.mean(axis=0)
             if len(curves) > 2:  # of two the interval is wider than the picture
+                half = np.array([interval(of_moment)[1] for of_moment in rewards.T])
                 ax.fill_between(decisions, middle - half, middle + half, color=colour, alpha=0.15, linewidth=0)
             ax.plot(decisions, rewards.T, color=colour, linewidth=0.5)
             ax.plot(decisions, middle, color=colour, linewidth=1.6, label=method)
-        ax.set(title=task, xlabel="decisions [million]", ylim=(max(0.4, own - 0.15), min(1.01, own + 0.17)))
+        ax.set(title=task, xlabel="decisions [million]", ylim=(max(0.4, own - 0.15), min(1.01, own + 0.22)))
         if task == TASKS[0]:
             ax.set_ylabel("mean reward per decision")
             ax.legend(loc="lower right")
@@ -105,7 +111,8 @@ def ship(results: dict[tuple[str, str], list[dict[str, Any]]]) -> None:
     """Write the best policy of each environment into the package."""
     lines = ["# Policies that `python -m benchmarks.baselines --ship` trained: weights and, last in a row, the bias."]
     for task in TASKS:
-        trained = {(method, seed): each for method in METHODS for seed, each in enumerate(results[task, method])}
+        trainings = {method: results.get((task, method), []) for method in METHODS}
+        trained = {(method, seed): each for method in METHODS for seed, each in enumerate(trainings[method])}
         method, seed = max(trained, key=lambda key: trained[key]["curve"][-1][1])
         best = trained[method, seed]
         lines += ["", f'["{environment(task)}"]', f'trained = "{method}, seed {seed}"']
@@ -122,13 +129,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, help="folder of the results")
     parser.add_argument("--jobs", type=int, default=2, help="trainings side by side")
-    parser.add_argument("--seeds", type=int, default=3, help="trainings of a method in an environment, at least 2")
+    parser.add_argument("--seeds", type=int, default=3, help="trainings of a method in an environment")
+    parser.add_argument("--methods", nargs="+", choices=("PPO", "CEM"), default=("PPO", "CEM"))
     parser.add_argument("--ship", action="store_true", help="write the best policies into the package")
     asked = parser.parse_args()
     if find_spec("stable_baselines3") is None:  # before the trainings that need it fail, and the others with them
         parser.error("stable-baselines3 is not installed; expected `pip install 'armperturb[baselines]'`")
     asked.out.mkdir(parents=True, exist_ok=True)
-    wanted = [(task, method, seed) for method in METHODS for seed in range(asked.seeds) for task in TASKS]
+    methods = [method for method in METHODS if method.partition(",")[0] in asked.methods]
+    wanted = [(task, method, seed) for method in methods for seed in range(asked.seeds) for task in TASKS]
     left = [each for each in wanted if not training_file(asked.out, *each).exists()]
     with ProcessPoolExecutor(asked.jobs, mp_context=get_context("spawn")) as pool:
         waiting = {pool.submit(train, *each): each for each in left}

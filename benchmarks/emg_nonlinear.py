@@ -68,10 +68,8 @@ def main(arguments: Sequence[str] = ()) -> None:
                 if its == use and (stem(name) in REFLEX) == of_reflexes
                 for _, each in pairs
             ]
-            held = 100.0 * np.mean(np.abs(off) < 1.96)
-            print(
-                f"{use}, {what}: intervals hold {held:.1f} % of {len(off)}, RMS of errors {np.sqrt(np.mean(np.square(off))):.2f}"
-            )
+            held, rms = 100.0 * np.mean(np.abs(off) < 1.96), np.sqrt(np.mean(np.square(off)))
+            print(f"{use}, {what}: intervals hold {held:.1f} % of {len(off)}, RMS of errors {rms:.2f}")
     if options.alone:
         for name in dict.fromkeys(name for _, name in errors):
             ratios = [a / b for (a, _), (b, _) in zip(errors["EMG", name], errors["alone", name], strict=True)]
