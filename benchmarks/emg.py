@@ -1,6 +1,7 @@
 """What the analysis of EMG reaches: `python -m benchmarks.emg [PEOPLE [SEED [PART]]]`; some 40 s of a core per person.
 
-PART is `linear_laboratory` for fits alone, of people whose arms keep the geometry of their posture.
+PART is of fits alone: `linear_laboratory` of people whose arms keep the geometry of their posture, `without_fast_part`
+of people whose remnant is slow.
 
 People are drawn as in a study and do the thesis's protocol with a maximal contraction, under the published forces, with
 all noise. Their EMG shows background and reflexes; the last lines are of the same people whose effort (remnant and slow
@@ -60,6 +61,7 @@ def recorded(
     *,
     effort: float = 0.0,
     linear: bool = False,
+    fast: bool = True,
 ) -> tuple[xr.Dataset, np.ndarray]:
     """A person's recording, and the true index of co-contraction of each trial, (trial, joint)."""
     indices = []
@@ -79,6 +81,8 @@ def recorded(
         return original(emg, subject, excitation, rate, *others)
 
     trials = protocol.trials(person, protocol.given_forces(), seed, number)
+    if not fast:
+        trials = [replace(each, noise=each.noise and each.noise.without_fast_part()) for each in trials]
     how: dict[str, Any] = {"linear": True} if linear else {"engine": "compiled", "timestep": 2.5e-3}
     with mock.patch.object(Emg, "read", read):
         instruments = Instruments(marker_noise=None, emg=Emg(effort=effort))
@@ -262,11 +266,23 @@ def linear_people(n: int, seed: int) -> Iterator[Line]:
 
 def linear_laboratory(n: int, seed: int) -> Iterator[Line]:
     """The same fits of people whose arms keep the geometry of their posture."""
-    fits, protocol = Fits(), MOVING
+    yield from _fits_alone("linear laboratory", n, seed, linear=True)
+
+
+def without_fast_part(n: int, seed: int) -> Iterator[Line]:
+    """The same fits of people whose remnant has no fast part."""
+    yield from _fits_alone("without the fast part", n, seed, fast=False)
+
+
+PARTS = {part.__name__: part for part in (linear_laboratory, without_fast_part)}
+
+
+def _fits_alone(label: str, n: int, seed: int, **how: bool) -> Iterator[Line]:
+    fits = Fits()
     for number, person in enumerate(draw_cohort(n, seed, muscles="linear")):
-        recording, _ = recorded(person, number, protocol, seed, linear=True)
+        recording, _ = recorded(person, number, MOVING, seed, **how)
         fits.add(person, trials_by_condition(recording, is_checked=True), envelopes(recording))
-    yield from (line._replace(quantity=f"linear laboratory: {line.quantity}") for line in fits.lines())
+    yield from (line._replace(quantity=f"{label}: {line.quantity}") for line in fits.lines())
 
 
 def _by_threshold(neurokit: Any, recording: xr.Dataset, muscle: str, direction: float) -> float:
@@ -430,9 +446,9 @@ def _indices(result: Activity, recording: xr.Dataset, true: np.ndarray) -> np.nd
 
 
 def main(n: int, seed: int = SEED, part: str = "") -> None:
-    """Print every line, or those of a part."""
+    """Print every line, or those of one of `PARTS`."""
     every = (known_envelopes(), lateness(), nonlinear_people(n, seed), linear_people(n, seed))
-    for lines in (linear_laboratory(n, seed),) if part else every:
+    for lines in (PARTS[part](n, seed),) if part else every:
         for line in lines:
             print(f"{line.quantity:87}  {line.target:16}  {line.measured}", flush=True)
 

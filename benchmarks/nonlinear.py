@@ -148,7 +148,9 @@ def _ratio(estimate: NonlinearEstimate, known: Mapping[str, float]) -> tuple[flo
 def fit_person(part: str, path: Path, truth: Person, n_pairs: int = N_PAIRS) -> tuple[str, Results]:
     """Identify a person in one task, and compare with what is known; says how that went."""
     results, task, recording = Results(), part[:2], load_recording(path)
-    recording = recording.isel(trial=np.flatnonzero(recording["task"].values == task))
+    # A trial whose pulse took the handle to the workspace limit is refused by the fit: it is left out.
+    inside = (recording["task"].values == task) & np.isnan(recording["limit_time"].values)
+    recording = recording.isel(trial=np.flatnonzero(inside))
     clock, processor = time.perf_counter(), time.process_time()
     directions = [FITTED_DIRECTION] if part.endswith("+") else []
     found = identify_nonlinear(recording, pulse_directions_deg=directions, n_pairs=n_pairs)
@@ -213,7 +215,8 @@ def main(arguments: Sequence[str] = ()) -> None:
     ):
         recordings = options.recordings or Path(folder) / "recordings"
         if of_people and options.recordings is None:
-            record_study(StudySettings(subjects=max(options.people)), Path(folder), workers=options.workers)
+            settings = StudySettings(subjects=max(options.people), engine="compiled")
+            record_study(settings, Path(folder), workers=options.workers)
         jobs = [
             pool.submit(fit_person, part, recordings / f"S{number:02d}.nc", draw_person(0, number - 1), options.pairs)
             for part in of_people

@@ -43,7 +43,7 @@ for level, likeness in likenesses.items():
     print(f"co-contraction {level:4}: {distances}")
 
 # %% [markdown]
-# The admittance of the model is far above that of people who keep position, at every level.
+# At low frequencies the admittance of the model is far above that of people who keep position, at every level.
 
 # %% alt="Largest and smallest gain of the admittance at three levels of co-contraction, and those of people"
 figure, axes = plt.subplots(1, 2, figsize=(9.0, 3.4), sharey=True, layout="constrained")

@@ -96,8 +96,9 @@ table = pd.read_csv("study/tables/estimates.csv")[columns]
 print(table.head(8).round(2).to_string(index=False))
 
 # %% [markdown]
-# The estimates are within a few percent of the truth, but some intervals miss it: the muscles of these people vary by
-# 8 % from trial to trial, which intervals from two trials cannot contain
+# The intervals that are shown hold the truth. They are wide, because people who keep the position add torque of their
+# own, which two trials do not average out; the default protocol has eight in this condition. The muscles of these
+# people also vary by 8 % from trial to trial, which intervals from two trials cannot contain
 # ([Identification](../method.md#accuracy-in-a-study)).
 #
 # On the command line the same is

@@ -293,8 +293,10 @@ def limits_of(fit: FitResult) -> tuple[str, ...]:
         if error == np.inf:
             said.append(f"{name} is not identifiable from these trials")
         elif error > UNCERTAIN * abs(value):
-            relative = f", relative s.e. {error / abs(value):.0%}" if value else ""
-            said.append(f"{name} is poorly determined ({value:.3g} +/- {error:.2g}{relative})")
+            # At a bound of 0 rounding can leave 1e-17, of which a relative error says nothing.
+            shown = value if abs(value) > 1e-9 * error else 0.0
+            relative = f", relative s.e. {error / abs(shown):.0%}" if shown else ""
+            said.append(f"{name} is poorly determined ({shown:.3g} +/- {error:.2g}{relative})")
     names = list(fit.values)
     said += [
         f"{names[i]} and {names[j]} are not separately identifiable (error correlation r = {fit.correlation[i, j]:.2f})"

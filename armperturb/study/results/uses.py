@@ -16,7 +16,7 @@ HELD_OUT = ("F.5", "F.6")
 _VAF = ("VAF_x", "VAF_y")
 
 _SET = {
-    **{("C.12", f"{axis} model 3"): "noise of the position task" for axis in _VAF},
+    **{("C.12", f"{name} model 3"): "noise of the position task" for name in ("criterion", *_VAF)},
     **{("C.22", f"{axis} model 1"): "noise of the relax task" for axis in _VAF},
     **{("C.18", f"{name} model 1"): "grip of relaxed people" for name in ("b_h", "k_h")},
     **{("C.18", f"{name} model 1"): "ratio of the masses, by that of cuff and handle" for name in ("m_h", "m_f")},

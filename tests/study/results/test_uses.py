@@ -25,6 +25,7 @@ def test_fitted_cells_are_held_out_but_those_that_people_were_set_on():
     assert sorted(used) == sorted(
         [
             *(("C.12", f"PT{x}", f"VAF_{axis} model 3") for x in ("2.5", "7.5", "22.5") for axis in "xy"),
+            *(("C.12", f"PT{x}", "criterion model 3") for x in ("2.5", "7.5", "22.5")),
             *(("C.22", f"RT{x}", f"VAF_{axis} model 1") for x in ("2.5", "7.5", "22.5") for axis in "xy"),
             *(("C.18", "RT7.5", f"{name} model 1") for name in grip + masses),
             *(("D.3", "PT7.5", f"{name} model 3 theta_i6") for name in grip),
