@@ -105,6 +105,27 @@ def require_new(paths: Iterable[Path], *, overwrite: bool) -> None:
             raise ValueError(f"{path}: exists already; expected a new name (--overwrite replaces the file)")
 
 
+def require_new_results(folder: Path, names: Iterable[str], *, overwrite: bool) -> None:
+    """Refuse a folder of results in which one is an input, or was written earlier.
+
+    Args:
+      folder: to write to; it may not exist.
+      names: of the results in it; `*` stands for any text.
+      overwrite: whether earlier results may be replaced, unless they are inputs.
+
+    Raises:
+      ValueError: a result is an input, or exists and must not be replaced.
+      IsADirectoryError: a folder has the name of a result.
+    """
+    paths = [path for name in names for path in (sorted(folder.glob(name)) if "*" in name else [folder / name])]
+    earlier = [path for path in paths if os.path.lexists(path)]
+    for path in earlier:
+        require_no_input(path)
+        require_no_folder(path)
+    if earlier and not overwrite:
+        raise ValueError(f"{earlier[0]}: exists already; expected a folder without results (--overwrite replaces them)")
+
+
 def require_no_folder(path: Path) -> None:
     """Refuse a file to write that is a folder.
 

@@ -1,10 +1,10 @@
 """What agents reach in the environments: policies that learn nothing, and two methods that learn, with some seeds each.
 
-Run `python -m benchmarks.baselines --out FOLDER --seeds 1 --methods PPO`; without these options both methods are
-trained with three seeds each. It needs the extra `baselines`. Methods are those of
-`benchmarks.policies`. FOLDER gets a file for each training, which a second run does not train again, the learning
-curves as `learning_curves.png`, and the table of docs/environments.md as `table.md`. With --ship the package gets, of
-each environment, the policy that earned most on the trials of its learning curve; all are judged on other ones.
+Run `python -m benchmarks.baselines --out FOLDER --seeds 1`, as docs/environments.md has it; it needs the extra
+`baselines`. Methods are those of `benchmarks.policies`. FOLDER gets a file for each training, which a second run does
+not train again, the learning curves as `learning_curves.png`, and the table of docs/environments.md as `table.md`. With
+--ship the package gets, of each environment, the policy that earned most on the trials of its learning curve; all are
+judged on other ones.
 """
 
 import argparse

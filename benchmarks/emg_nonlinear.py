@@ -1,141 +1,79 @@
-"""What EMG alone would tell of the reflexes of nonlinear people, were it an output of the nonlinear model.
+"""What EMG adds to a nonlinear fit: errors of reflexes and of the muscle law with and without it, and their intervals.
 
-Run `python -m benchmarks.emg_nonlinear [--people N] [--seed N]`; some 10 s of a core per person.
-The excitation of each joint follows from the recorded rotations by the true law of the spindles, and the difference
-between antagonists is that, delayed, times an unknown gain of each group of muscles in each condition, plus noise. No
-arm is simulated. Printed are the gains (their truth is 0.02, and 0.01 of muscles that cross both joints), what the law
-explains of the differences with and without saturating spindles, and the standard errors of logarithms (coordinates of
-`nonlinear.model`) that the information of the EMG gives: were all trials alike, and one gain of velocity feedback known
-beside EMG, as EMG does not tell their common size.
+Run `python -m benchmarks.emg_nonlinear [--people N] [--first N] [--seed N] [--alone]`; some two minutes of a core per
+person, three with `--alone`. Nonlinear people of the position task go through the trials of PT2.5, PT7.5 and PT22.5 and
+a maximal contraction. The full law is fitted with free delays to movement and EMG, with `--alone` to the movement as
+well. Printed are, person by person, each reflex parameter with its truth, the standard error of its coordinate
+(`nonlinear.model`) and the error over it; in the end how many 95 % intervals hold the truth, and the median ratio of
+standard errors with EMG over those without.
 """
 
 import argparse
 import sys
+import time
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
-from scipy import fft
 
 from armperturb.analysis.emg.envelope import envelopes
-from armperturb.analysis.emg.outputs import ReflexOutputs, reflex_outputs
-from armperturb.analysis.fit.emg_likelihood import BAND
-from armperturb.analysis.fit.frequency_bands import Smoother
-from armperturb.analysis.fit.likelihood import judged_part
-from armperturb.analysis.nonlinear.model import Model, Parameters, coordinate, true_values
-from armperturb.analysis.trials import trials_by_condition
-from armperturb.cohort import draw_cohort
-from armperturb.subject import Subject
+from armperturb.analysis.nonlinear.estimate import fit
+from armperturb.analysis.nonlinear.model import Model, coordinate, stem, true_values
+from armperturb.analysis.nonlinear.result import NonlinearEstimate
+from armperturb.analysis.nonlinear.spindle_emg import REFLEX, usable_emg
+from armperturb.analysis.nonlinear.start import linear_arms
+from armperturb.analysis.nonlinear.trials import fitted_conditions, training_sets
+from armperturb.cohort import Person, draw_cohort
 from benchmarks.emg import MOVED, MOVING, recorded
 
-HELD = "kv.elbow"
-"""Of which EMG would not tell the size."""
 
-STEP = 1e-3
-"""Change of a coordinate in finite differences [-]."""
-
-
-def spindle_velocity(velocity: np.ndarray, saturation: float) -> np.ndarray:
-    """Velocity that linear spindles would have to see to fire as saturating ones do [rad/s]."""
-    return velocity / (1.0 + np.abs(velocity) / saturation)
-
-
-def excitation(person: Subject, rotation: np.ndarray, rate: float) -> np.ndarray:
-    """Of the reflexes of both joints [Nm], of rotations [rad], (trial, time, joint) (eq. 2.8)."""
-    speed = np.gradient(rotation, 1.0 / rate, axis=1)
-    kv, kp = (
-        np.array([[getattr(person, f"{k}_{j}") for j in row] for row in (("s", "se"), ("se", "e"))])
-        for k in ("kv", "kp")
-    )
-    seen = speed @ kv + rotation @ kp
-    of_elements = speed[..., 0], speed.sum(axis=-1), speed[..., 1]
-    limits = person.muscle.of_elements("spindle_saturation") if person.muscle else (np.inf,) * 3
-    for joints, velocity, gain, limit in zip(
-        ([0], [0, 1], [1]), of_elements, person.muscle_groups("kv"), limits, strict=True
-    ):
-        seen[..., joints] += (gain * (spindle_velocity(velocity, limit) - velocity))[..., None]
-    return seen
-
-
-class Differences:
-    """Differences between antagonists in the trials of a condition, as spectra."""
-
-    def __init__(self, outputs: ReflexOutputs) -> None:
-        self._outputs = outputs
-        self._judged, self._taper = judged_part(outputs.rotation.shape[1], outputs.rate, from_rest=outputs.from_rest)
-        frequency = fft.rfftfreq(len(self._taper), 1.0 / outputs.rate)
-        self._used = slice(*np.searchsorted(frequency, BAND))
-        self._frequency = frequency[self._used]
-        self.observed = self._spectrum(outputs.difference) / np.sinc(self._frequency * outputs.averaging)[:, None]
-        self._smoother = Smoother(len(self._frequency), len(self.observed))
-
-    def _spectrum(self, values: np.ndarray) -> np.ndarray:
-        part = (values - values.mean(axis=1, keepdims=True))[:, self._judged] * self._taper[:, None]
-        return fft.rfft(part, axis=1)[:, self._used]
-
-    def by_gain(self, person: Subject) -> np.ndarray:
-        """What unit gains (g_s, g_e, g_bs, g_be) would add, (gain, trial, frequency, group)."""
-        late = np.exp(-2j * np.pi * self._frequency[:, None] * [person.Td_s, person.Td_e])
-        seen = self._spectrum(excitation(person, self._outputs.rotation, self._outputs.rate)) * late
-        columns = np.zeros((4, *self.observed.shape), complex)
-        for gain, (joint, group) in enumerate(((0, 0), (1, 1), (0, 2), (1, 2))):
-            columns[gain, ..., group] = seen[..., joint]
-        return columns
-
-    def fitted(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Gains by least squares, and the residual, (trial, frequency, group)."""
-        rows = columns.reshape(4, -1)
-        gains = np.linalg.solve((rows @ rows.conj().T).real, (rows.conj() @ self.observed.ravel()).real)
-        return gains, self.observed - np.tensordot(gains, columns, axes=1)
-
-    def noise(self, residual: np.ndarray) -> np.ndarray:
-        """Its smooth spectrum, (frequency, group, group)."""
-        power = np.einsum("tfa,tfb->fab", residual, residual.conj()) / len(residual)
-        return np.asarray(self._smoother(power.reshape(len(power), -1))).reshape(power.shape)
-
-    def information(self, people: Sequence[Subject]) -> tuple[np.ndarray, str]:
-        """Of the coordinates in which all but the first of some people differ from it; gains are unknown."""
-        columns = self.by_gain(people[0])
-        gains, left = self.fitted(columns)
-        white = np.sqrt(2.0) * np.linalg.inv(np.linalg.cholesky(self.noise(left)))
-        changes = [np.tensordot(gains, self.by_gain(other) - columns, axes=1) / STEP for other in people[1:]]
-        rows = np.einsum("fab,ntfb->ntfa", white, np.array([*changes, *columns])).reshape(len(changes) + 4, -1)
-        every, n = (rows @ rows.conj().T).real, len(changes)
-        information = every[:n, :n] - every[:n, n:] @ np.linalg.solve(every[n:, n:], every[n:, :n])
-        linear = people[0].muscle and replace(people[0].muscle, spindle_saturation=np.inf)
-        of_linear = self.fitted(self.by_gain(replace(people[0], muscle=linear)))[1]
-        explained = (1.0 - np.sum(np.abs(each) ** 2) / np.sum(np.abs(self.observed) ** 2) for each in (left, of_linear))
-        said = ", ".join(f"{gain:.4f}" for gain in gains)
-        return information, f"gains {said}; explained, and without saturation: " + ", ".join(
-            f"{each:.1%}" for each in explained
-        )
+def fits_of(person: Person, number: int, seed: int, *, alone: bool) -> dict[str, NonlinearEstimate]:
+    """Fits with EMG and, if asked for, without, by name."""
+    recording, _ = recorded(person, number, MOVING, seed)
+    recording = recording.isel(trial=np.flatnonzero(np.isin(recording["condition"].values, MOVED)))
+    conditions = fitted_conditions(recording)
+    sets, _ = training_sets(conditions)
+    arms = linear_arms(conditions)
+    emg = usable_emg(conditions, arms, envelopes(recording), 0.0)
+    uses = {"EMG": emg, **({"alone": None} if alone else {})}
+    return {name: fit(sets, arms, Model(free=("Td",)), emg=used) for name, used in uses.items()}
 
 
 def main(arguments: Sequence[str] = ()) -> None:
-    """Print what each condition holds and what EMG alone tells, person by person."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--people", type=int, default=3)
+    """Print what each person's fits give, and how right they are."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--people", type=int, default=6)
+    parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--seed", type=int, default=812)
+    parser.add_argument("--alone", action="store_true")
     options = parser.parse_args(arguments)
-    for number, person in enumerate(draw_cohort(options.people, options.seed)):
-        recording, _ = recorded(person, number, MOVING, options.seed)
-        amplitudes, conditions = envelopes(recording), trials_by_condition(recording, is_checked=True)
-        subjects = {each.condition: each.subject for each in MOVING.trials(person, MOVING.given_forces(), 0, number)}
-        total = 0.0
-        for name in MOVED:
-            body, level = subjects[name], subjects[name].kv_s / person.subjects["PT"].kv_s
-            true = {**true_values(person.subjects["PT"], {}), f"level.{name}": level}
-            parameters = Parameters(Model(free=("Td",)), {"PT": body}, {"PT": ("", name)})
-            asked = [each for each in parameters.names if each.startswith(("kv", "kp", "Td", "spindle"))]
-            point = np.array([coordinate(each, true[each]) for each in parameters.names])
-            moved = [point + STEP * (np.array(parameters.names) == each) for each in asked if each != HELD]
-            people = [parameters.person("PT", each, name) for each in (point, *moved)]
-            information, said = Differences(reflex_outputs(conditions[name], amplitudes)).information(people)
-            total = total + information
-            print(f"{person.subjects['PT'].name}, {name}: {said}", flush=True)
-        errors = np.sqrt(np.diag(np.linalg.inv(total)))
-        names = [each for each in asked if each != HELD]
-        print("    " + ", ".join(f"{each} {error:.3f}" for each, error in zip(names, errors, strict=True)), flush=True)
+    errors: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    for number, person in list(enumerate(draw_cohort(options.first + options.people, options.seed)))[options.first :]:
+        levels = {name: level for name, level in person.levels.items() if name in MOVED}
+        true = true_values(person.subjects["PT"], levels)
+        before = time.process_time()
+        for use, found in fits_of(person, number, options.seed, alone=options.alone).items():
+            print(f"{person.name}, {use}: {found.message}, {time.process_time() - before:.0f} CPU s")
+            for name in found.parameters.names:
+                size = found.coordinate_error[name]
+                off = (coordinate(name, found.values[name]) - coordinate(name, true[name])) / size
+                errors.setdefault((use, name), []).append((size, off))
+                if stem(name) in REFLEX:
+                    said = f"{found.values[name]:8.3f} ({true[name]:.3f})"
+                    print(f"    {name:20} {said}, standard error {size:.3f}, off by {off:+.1f}", flush=True)
+    for use in dict.fromkeys(use for use, _ in errors):
+        for what, of_reflexes in (("reflexes and levels", True), ("all others", False)):
+            off = [
+                each
+                for (its, name), pairs in errors.items()
+                if its == use and (stem(name) in REFLEX) == of_reflexes
+                for _, each in pairs
+            ]
+            held, rms = 100.0 * np.mean(np.abs(off) < 1.96), np.sqrt(np.mean(np.square(off)))
+            print(f"{use}, {what}: intervals hold {held:.1f} % of {len(off)}, RMS of errors {rms:.2f}")
+    if options.alone:
+        for name in dict.fromkeys(name for _, name in errors):
+            ratios = [a / b for (a, _), (b, _) in zip(errors["EMG", name], errors["alone", name], strict=True)]
+            print(f"{name:32} standard error with EMG over that without: {np.median(ratios):.2f}")
 
 
 if __name__ == "__main__":

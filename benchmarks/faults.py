@@ -205,11 +205,11 @@ COMMANDS = {
     "sidecar": ([], ["sidecar", "bare.csv"]),
     "response": (
         ["response", "r.nc", "--out", "o", "--method", "welch"],
-        ["response", "r.nc", "--out", "o", "--method", "multitaper"],
+        ["response", "r.nc", "--out", "o", "--method", "multitaper", "--overwrite"],
     ),
     "identify": (
         ["identify", "r.nc", "--model", "1", "--out", "o"],
-        ["identify", "r.nc", "--model", "2", "--out", "o"],
+        ["identify", "r.nc", "--model", "2", "--out", "o", "--overwrite"],
     ),
     "simulate": (
         [*_SIMULATE, "--ideal", "--out", "o.nc"],

@@ -67,7 +67,8 @@ ARROWS = {
     | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.joint", "analysis.emg", "analysis.nonlinear"}
     | {"pages"},
     "analysis.emg": ARM | {"analysis.measures", "analysis.response"},
-    "analysis.nonlinear": ARM | {"analysis.response", "analysis.measures", "analysis.fit", "planar_arm", "archive"},
+    "analysis.nonlinear": ARM
+    | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.emg", "planar_arm", "archive"},
     "cohort": ARM,
     "convert": ARM,
     "envs.lab": LAB,

@@ -7,7 +7,10 @@ from typing import Annotated, Literal
 import tyro
 
 from armperturb.commands.command import Command, Positional
-from armperturb.files import write_csv, write_whole
+from armperturb.files import require_new_results, write_csv, write_whole
+
+RESULTS = ("compare.csv", "compare.svg", "compare.txt")
+"""Files that are written."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +33,8 @@ class Compare(Command):
     """Which condition, if they hold several."""
     seed: int = 0
     """Of the people."""
+    overwrite: bool = False
+    """Replace results of an earlier run in the folder; an input is never replaced."""
 
     def run(self) -> list[str]:
         """Compare, and write the table and the figure."""
@@ -40,6 +45,7 @@ class Compare(Command):
         recordings, lines = select_trials(
             self.recordings, self.sidecar, self.subject, self.condition, single_condition=True
         )
+        require_new_results(self.out, RESULTS, overwrite=self.overwrite)
         try:
             likeness = compare(recordings, self.reference, seed=self.seed)
         except ValueError as error:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START, Estimator
 from armperturb.commands.command import Command, Positional, command_line
 from armperturb.extras import MissingExtraError, naming_the_extra
-from armperturb.files import endings_of, require_no_input
+from armperturb.files import endings_of, require_new_results
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -18,20 +18,27 @@ if TYPE_CHECKING:
     from armperturb.analysis.page.page import Origin
 
 Model = Literal["1", "2", "3", "4", "5", "6", "3a", "3b", "nonlinear", "joint"]
-RESULTS = [
+RESULTS = (
+    "identify.html",
     "admittance.csv",
     "parameters.csv",
     "endpoint.csv",
+    "endpoint.svg",
     "correlations.csv",
     "predictions.csv",
+    "pulses.svg",
+    "joint.svg",
     "fit.json",
     "structure.toml",
+    "structure_*.toml",
     "arm.toml",
-]
-"""Files that are written and may be inputs by their ending."""
+    "arm_*.toml",
+)
+"""Files that are written; * is a condition."""
 
 OF_A_STRUCTURE = ("free", "fix", "bounds", "tie", "prior")
-OF_LINEAR_MODELS = ("estimator", "share", "lines_per_average", "body", "emg", "emg_delay", *OF_A_STRUCTURE)
+OF_LINEAR_MODELS = ("estimator", "share", "lines_per_average", "body", *OF_A_STRUCTURE)
+OF_ARMS = ("emg", "emg_delay")
 OF_THE_NONLINEAR_MODEL = ("law", "pulses")
 OF_THE_JOINT_MODEL = ("reflex", "short_range", "fit_until", "longest_delay")
 
@@ -90,10 +97,12 @@ class Identify(Command):
     """Parameters that are the same in all conditions, e.g. mass grip k_s; with maximum likelihood only."""
     emg: bool = False
     """Use EMG as well: of reflexes it tells more than the movement. Trials of a condition MVC, a maximal contraction,
-    are what amplitudes are relative to. Where EMG is missing or cannot be used, the movement alone is."""
+    are what amplitudes are relative to. Where EMG is missing or cannot be used, the movement alone is. The nonlinear
+    model then estimates the delay of reflexes too."""
     emg_delay: tuple[float, float] = (0.0, 0.0)
     """Mean and standard deviation of the time by which muscles answer later than their EMG, beyond the activation
-    dynamics [s]; with --emg. What neural and electromechanical delay add up to is all that a movement tells."""
+    dynamics [s]; with --emg. What neural and electromechanical delay add up to is all that a movement tells. With the
+    nonlinear model it must be known: a standard deviation of 0."""
     subject: str | None = None
     """Which subject, if the recordings hold several."""
     condition: str | None = None
@@ -105,6 +114,8 @@ class Identify(Command):
     lines_per_average: int = LINES_PER_AVERAGE
     """Adjacent excited lines that are averaged in admittance.csv and by the thesis's estimator; 1 keeps every line and
     needs several trials."""
+    overwrite: bool = False
+    """Replace results of an earlier run in the folder; an input is never replaced."""
 
     @property
     def resumes(self) -> bool:
@@ -119,6 +130,11 @@ class Identify(Command):
         structure = None if self.model in ("nonlinear", "joint") else self._structure()
         if self.emg_delay != (0.0, 0.0) and not self.emg:
             raise ValueError(f"identify: emg_delay = {self.emg_delay!r} without EMG; expected it with --emg only")
+        if self.model == "nonlinear" and self.emg_delay[1] != 0.0:
+            raise ValueError(
+                f"identify: emg_delay = {self.emg_delay!r} with --model nonlinear; expected a known one (--emg-delay "
+                f"{self.emg_delay[0]:g} 0)"
+            )
         if self.emg and self.estimator == "thesis":
             raise ValueError("identify: EMG with estimator = 'thesis'; expected --estimator record or frequency")
         recordings, notes = select_trials(
@@ -126,8 +142,7 @@ class Identify(Command):
         )
         kind = self._kind(recordings)
         self._require_options((kind,))
-        for name in RESULTS:
-            require_no_input(self.out / name)
+        require_new_results(self.out, RESULTS, overwrite=self.overwrite)
         if self.resumes and self.out.exists() and not self.out.is_dir():
             raise ValueError(f"{self.out} is a file; expected a folder, or a new name for one")
         try:
@@ -148,6 +163,7 @@ class Identify(Command):
         others = {name: kind for kind, names in of_models.items() if kind not in models for name in names}
         if not {*models} - {*of_models}:
             others |= dict.fromkeys(OF_LINEAR_MODELS, "") if "joint" not in models or len(models) == 1 else {}
+            others |= dict.fromkeys(OF_ARMS, "") if models == ("joint",) else {}
         for field in fields(self):
             value = getattr(self, field.name)
             if field.name in others and value != field.default:
@@ -310,6 +326,7 @@ class Identify(Command):
         from armperturb.plots.style import save_plot
         from armperturb.recording import join_recordings
 
+        emg = self._emg(notes) if self.emg else None
         is_new = not self.out.exists()
         self.out.mkdir(parents=True, exist_ok=True)  # now, as checkpoints go there
         try:
@@ -322,6 +339,8 @@ class Identify(Command):
                 folder=self.out,
                 progress=lambda line: print(line, file=sys.stderr, flush=True),
                 threads=cpu_count(),
+                emg=emg.envelopes if emg else None,
+                emg_delay=self.emg_delay[0],
             )
         except (ValueError, MissingExtraError):
             if is_new and not any(self.out.iterdir()):

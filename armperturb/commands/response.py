@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from armperturb.analysis.defaults import SETTLED
 from armperturb.commands.command import Command, Positional
-from armperturb.files import require_no_input, write_csv
+from armperturb.files import require_new_results, write_csv
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from armperturb.analysis.response.best_linear import BestLinear
     from armperturb.analysis.response.frequency_response import FrequencyResponse
     from armperturb.analysis.trials import ConditionTrials
+
+RESULTS = ("response.csv", "response.svg", "distortion.csv", "distortion.svg")
+"""Files that are written."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +45,8 @@ class Response(Command):
     """Start of what is used [s]; by default 2 for multisine, 8 for spectral, and 0 for the other methods."""
     period: float | None = None
     """Period of a multisine [s]; by default it is found from the data."""
+    overwrite: bool = False
+    """Replace results of an earlier run in the folder; an input is never replaced."""
 
     def run(self) -> list[str]:
         """Estimate the response and write it."""
@@ -56,6 +61,7 @@ class Response(Command):
         recordings, lines = select_trials(
             self.recordings, self.sidecar, self.subject, self.condition, single_condition=True
         )
+        require_new_results(self.out, RESULTS, overwrite=self.overwrite)
         if is_one_axis(recordings[0]):
             return [*lines, *self._of_one_axis(recordings), f"results: {self.out}"]
         method = "multisine" if self.method is None else self.method
@@ -97,16 +103,15 @@ class Response(Command):
         return [estimate.describe().title, *estimate.describe().facts]
 
     def _write(self, results: "dict[str, FrequencyResponse | BestLinear | None]", condition: str) -> None:
-        """Write tables and figures; what there is no result of, an earlier run may have left."""
+        """Write tables and figures; an earlier run may have left what there is no result of."""
         from armperturb.plots.style import save_plot
 
         self.out.mkdir(parents=True, exist_ok=True)
         for name, result in results.items():
             table, figure = self.out / f"{name}.csv", self.out / f"{name}.svg"
             if result is None:
-                for path in (table, figure) if table.is_file() and figure.is_file() else ():
-                    require_no_input(path)
-                    path.unlink()
+                table.unlink(missing_ok=True)
+                figure.unlink(missing_ok=True)
             else:
                 write_csv(result.to_frame().assign(condition=condition), table)
                 save_plot(result, figure)

@@ -186,14 +186,5 @@ _NOISE = packaged_table(__package__, "human_noise.toml")
 HUMAN_NOISE = {task: HumanNoise(**values) for task, values in _NOISE.items()}
 """Task to how noisy people are in it; relaxed people make no slow corrections.
 
-Set on the VAF of the thesis's tables C.12 and C.22. Of the average person under the published forces, 8 trials per
-condition, mean coherence of x and y below 1.5 Hz / up to 10 Hz / above, and median VAF of x and y of fitted models 3b
-(PT) and 1 (RT) [%] (published: models 3 and 1) are
-
-    PT2.5   0.88 / 0.89 / 0.78, 54 36 (44 35)    RT2.5   0.96 / 0.83 / 0.76, 69 42 (64 57)
-    PT7.5   0.90 / 0.94 / 0.85, 74 60 (60 50)    RT7.5   0.95 / 0.83 / 0.63, 69 29 (77 67)
-    PT22.5  0.92 / 0.92 / 0.91, 71 63 (60 51)    RT22.5  0.93 / 0.86 / 0.71, 54 56 (53 60)
-
-Without noise the yielding of muscles alone takes the VAF to some 80 % in RT and 70 to 90 % in PT.
-With four averages for two inputs, coherence is 0.5 where there is only noise.
+Set on criterion and VAF of the thesis's tables C.12 and C.22; docs/calibration.md tells how, and what coherence follows.
 """

@@ -1,6 +1,7 @@
 """Results that describe themselves: text of few lines, HTML, tables of one schema, and axes that hold the data."""
 
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import matplotlib
 import numpy as np
@@ -18,6 +19,7 @@ from armperturb.analysis.results import (
     WIDTH,
     Description,
     FitResult,
+    limits_of,
     parameter_table,
     plain,
     quantile,
@@ -228,3 +230,17 @@ def test_the_forest_draws_estimates_and_intervals(identified):
     assert drawn >= {fit.values["m_h"], fit.values["m_f"]}
     for name, bar in zip(("m_h", "m_f"), masses.collections, strict=True):
         assert tuple(bar.get_segments()[0][:, 0]) == pytest.approx(fit.interval(name))
+
+
+def test_a_relative_error_is_that_of_an_estimate_which_is_not_zero_but_for_rounding():
+    fit = SimpleNamespace(
+        at_bound=("kp_e",),
+        values={"kp_s": 6.0, "kp_e": 2.8e-17},
+        standard_error={"kp_s": 4.0, "kp_e": 5.3},
+        correlation=np.eye(2),
+    )
+    assert limits_of(fit) == (
+        "kp_e sits on a bound",
+        "kp_s is poorly determined (6 +/- 4, relative s.e. 67%)",
+        "kp_e is poorly determined (0 +/- 5.3)",
+    )

@@ -79,7 +79,11 @@ def test_without_emg_the_movement_is_identified_alone(recording, tmp_path, capsy
         ),
         (("--model", "3", "--emg-delay", "0.01", "0.002"), "without EMG; expected it with --emg only"),
         (("--model", "3", "--emg", "--emg-delay", "0.3", "0"), "electromechanical delay: mean = 0.3; expected"),
-        (("--model", "nonlinear", "--emg"), "emg = True; expected False with --model nonlinear"),
+        (
+            ("--model", "nonlinear", "--emg", "--emg-delay", "0.01", "0.002"),
+            "expected a known one (--emg-delay 0.01 0)",
+        ),
+        (("--model", "nonlinear", "--emg", "--law", "half-wave"), "law = 'half-wave' with EMG; expected full"),
     ],
 )
 def test_what_cannot_be_is_refused(path, tmp_path, capsys, options, message):

@@ -83,12 +83,15 @@ def test_without_covariance_there_are_no_bands(folder, tmp_path, capsys):
 
 
 @pytest.mark.slow(reason="draws figures")
-@pytest.mark.parametrize("names", [("distortion.csv", "distortion.svg"), ("distortion.csv",)], ids=["its", "another's"])
-def test_an_earlier_distortion_goes(folder, tmp_path, capsys, names):
+def test_an_earlier_distortion_goes_if_asked(folder, tmp_path, capsys):
+    names = ("distortion.csv", "distortion.svg")
     for name in names:
         (tmp_path / name).write_text("old")
-    assert run("response", folder / "multisine.nc", "--what", "total", "--out", tmp_path) == 0
-    assert any((tmp_path / name).exists() for name in names) == (len(names) == 1)
+    options = ("response", folder / "multisine.nc", "--what", "total", "--out", tmp_path)
+    assert "distortion.csv: exists already" in refused(capsys, *options)
+    assert all((tmp_path / name).read_text() == "old" for name in names)
+    assert run(*options, "--overwrite") == 0
+    assert not any((tmp_path / name).exists() for name in names)
 
 
 @pytest.mark.slow(reason="reads long records many times")

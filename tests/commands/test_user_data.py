@@ -4,6 +4,7 @@ import errno
 import os
 import shutil
 import subprocess
+from fnmatch import fnmatch
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,13 @@ import xarray as xr
 from laboratory import write
 
 from armperturb import cli
+from armperturb.commands import compare, design, identify, response, validate
 from armperturb.convert.importer import import_recording
 from armperturb.recording_files import load_recording, save_recording
+from armperturb.subject import POSITION
+
+RELAX = Path(__file__).parents[2] / "examples" / "data" / "relax.nc"
+PLAN = ["--goal", "mass", "--force", "5", "--displacement", "0.01", "--duration", "9.2", "--trials", "1"]
 
 
 @pytest.fixture(scope="module")
@@ -60,6 +66,35 @@ def test_existing_outputs_are_replaced_only_where_that_is_asked_for(folder, caps
     assert load_recording(recording).sizes["trial"] == 2
 
 
+@pytest.mark.slow(reason="runs five commands twice")
+@pytest.mark.parametrize(
+    ("module", "options"),
+    [
+        (identify, ["identify", "lab.nc", "--model", "1"]),
+        (response, ["response", "lab.nc", "--method", "welch"]),
+        (compare, ["compare", "lab.nc", "--with", "thesis"]),
+        (design, ["design", "--subject", "person.toml", *PLAN]),
+        (validate, ["validate", "--groups", "1", "--trials", "1", "--estimators", "frequency", "--workers", "1"]),
+    ],
+    ids=lambda each: each[0] if isinstance(each, list) else "",
+)
+def test_results_are_replaced_only_where_that_is_asked_for(folder, capsys, monkeypatch, module, options):
+    monkeypatch.chdir(folder)
+    shutil.copy(RELAX, "lab.nc")
+    POSITION.save("person.toml")
+    assert cli.main([*options, "--out", "o"]) == 0
+    names = [str(path.relative_to("o")) for path in Path("o").rglob("*") if path.is_file()]
+    assert [name for name in names if not any(fnmatch(name, each) for each in module.RESULTS)] == []
+    for name in names:
+        (folder / "mine" / name).parent.mkdir(parents=True)
+        (folder / "mine" / name).write_text("mine", encoding="utf-8")
+        assert f"{name}: exists already" in refused(capsys, *options, "--out", "mine")
+        assert (folder / "mine" / name).read_text(encoding="utf-8") == "mine"
+        shutil.rmtree("mine")
+    assert "exists already" in refused(capsys, *options, "--out", "o")
+    assert cli.main([*options, "--out", "o", "--overwrite"]) == 0
+
+
 def test_a_result_of_the_name_of_an_input_is_refused(folder, capsys):
     structure = folder / "structure.toml"
     structure.write_text('base = "3b"\n', encoding="utf-8")
@@ -79,8 +114,7 @@ def test_an_empty_folder_is_not_the_current_one(folder, capsys, monkeypatch):
 
 def test_a_file_that_no_run_has_written_is_not_removed(folder):
     (folder / "distortion.csv").write_text("mine", encoding="utf-8")
-    recording = Path(__file__).parents[2] / "examples" / "data" / "relax.nc"
-    assert cli.main(["response", str(recording), "--method", "welch", "--out", str(folder)]) == 0
+    assert cli.main(["response", str(RELAX), "--method", "welch", "--out", str(folder)]) == 1
     assert (folder / "distortion.csv").read_text(encoding="utf-8") == "mine"
 
 

@@ -1,6 +1,7 @@
 """EMG of antagonists as outputs of the arm's model: what a fit of reflexes needs of the envelopes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -9,7 +10,7 @@ from armperturb.analysis.emg.envelope import Envelopes
 from armperturb.analysis.emg.reflex import rotation
 from armperturb.analysis.response.record_window import RecordWindow
 from armperturb.analysis.trials import ConditionTrials
-from armperturb.arrays import Array
+from armperturb.arrays import Array, Indices
 
 GROUPS = ("s", "e", "se")
 """Joints that the muscles of a group cross: shoulder, elbow, both."""
@@ -38,6 +39,11 @@ class ReflexOutputs:
     rate: float
     averaging: float
     from_rest: bool = True
+
+    def take(self, numbers: Indices) -> Self:
+        """Some of the trials."""
+        load = None if self.grip_load is None else self.grip_load[numbers]
+        return replace(self, difference=self.difference[numbers], rotation=self.rotation[numbers], grip_load=load)
 
 
 def reflex_outputs(trials: ConditionTrials, envelopes: Envelopes) -> ReflexOutputs:

@@ -19,6 +19,7 @@ follow from the handle's displacement x and its force f on the hand: q = J^-1 (x
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple, Self
 
 import numpy as np
 from scipy import fft
@@ -72,6 +73,35 @@ class ElectromechanicalDelay:
         require_number("electromechanical delay", "sd", self.sd, at_least=0.0, at_most=0.05)
 
 
+class EmgSpectra(NamedTuple):
+    """How trials of a condition become spectra in the band that counts.
+
+    Attributes:
+      frequency: [Hz], (frequency,).
+      taper: window, (time,).
+      judged: samples that it is of.
+      used: places of the frequencies in a DFT.
+    """
+
+    frequency: Array
+    taper: Array
+    judged: slice
+    used: slice
+
+    @classmethod
+    def of(cls, outputs: ReflexOutputs) -> Self:
+        """Those of the trials of EMG outputs."""
+        judged, taper = judged_part(outputs.difference.shape[1], outputs.rate, from_rest=outputs.from_rest)
+        frequency = fft.rfftfreq(len(taper), 1.0 / outputs.rate)
+        used = slice(int(np.searchsorted(frequency, BAND[0])), int(np.searchsorted(frequency, BAND[1])))
+        return cls(frequency[used], taper, judged, used)
+
+    def __call__(self, values: Array) -> ComplexArray:
+        """DFT of signals (trial, time, channel) without their mean, (trial, channel, frequency)."""
+        part = (values - values.mean(axis=1, keepdims=True))[:, self.judged] * self.taper[:, None]
+        return np.asarray(fft.rfft(part, axis=1)[:, self.used].swapaxes(1, 2))
+
+
 class EmgLikelihood(Whittle):
     """Likelihood of the EMG of the trials of one condition.
 
@@ -83,16 +113,8 @@ class EmgLikelihood(Whittle):
     """
 
     def __init__(self, outputs: ReflexOutputs, delay: ElectromechanicalDelay) -> None:
-        rate = outputs.rate
-        judged, taper = judged_part(outputs.difference.shape[1], rate, from_rest=outputs.from_rest)
-        frequency = fft.rfftfreq(len(taper), 1.0 / rate)
-        used = slice(int(np.searchsorted(frequency, BAND[0])), int(np.searchsorted(frequency, BAND[1])))
-
-        def spectrum(values: Array) -> ComplexArray:
-            part = (values - values.mean(axis=1, keepdims=True))[:, judged] * taper[:, None]
-            return np.asarray(fft.rfft(part, axis=1)[:, used].swapaxes(1, 2))
-
-        frequency = frequency[used]
+        spectrum = EmgSpectra.of(outputs)
+        frequency = spectrum.frequency
         observed = spectrum(outputs.difference) / np.sinc(frequency * outputs.averaging)
         self._s = 2j * np.pi * frequency
         self._grip_load = None if outputs.grip_load is None else spectrum(outputs.grip_load)
@@ -112,7 +134,7 @@ class EmgLikelihood(Whittle):
             ALL,
             scale=np.ones(len(frequency), complex),
             least=tiny,
-            taper=taper,
+            taper=spectrum.taper,
         )
 
     @property

@@ -104,7 +104,7 @@ def simulate_deviations(problem: Problem, state: State, draws: NoiseDraws, n_ave
 
 
 def score_variance(problem: Problem, state: State, slopes: Sequence[Array], deviations: Deviations) -> Array:
-    """Variance of `Normal.slope` over other noise of the person, (unknown, unknown).
+    """Variance of `Normal.slope` over other noise of the person and of the EMG, (unknown, unknown).
 
     Args:
       problem: what was fitted.
@@ -116,7 +116,7 @@ def score_variance(problem: Problem, state: State, slopes: Sequence[Array], devi
     for columns, odd, even in zip(slopes, *deviations, strict=True):
         scores = np.concatenate([odd, even]) @ columns.T
         parts.append(scores.T @ scores / len(odd))
-    return problem.gathered(state, parts) + np.diag(problem.prior(state))
+    return problem.gathered(state, parts) + problem.emg_normal(state).matrix + np.diag(problem.prior(state))
 
 
 def lack_of_fit(

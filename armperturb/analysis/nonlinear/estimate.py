@@ -19,6 +19,7 @@ from armperturb.analysis.nonlinear.model import EFFECTS, Model, Parameters, valu
 from armperturb.analysis.nonlinear.problem import NoiseDraws, Problem
 from armperturb.analysis.nonlinear.result import NonlinearEstimate, remarks_on
 from armperturb.analysis.nonlinear.search import CONVERGED, MAX_STEPS, Position, Search, inverse
+from armperturb.analysis.nonlinear.spindle_emg import EmgInFit, digests
 from armperturb.analysis.nonlinear.start import best_start, start_values
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
@@ -47,6 +48,7 @@ def fit(
     checkpoint: Path | None = None,
     progress: Callable[[str], object] | None = None,
     threads: int = 1,
+    emg: Mapping[str, EmgInFit] | None = None,
 ) -> NonlinearEstimate:
     """Fit one person.
 
@@ -62,6 +64,7 @@ def fit(
       checkpoint: file in which the search is saved after each step; a search that was stopped there goes on.
       progress: called with a line after each step.
       threads: how many simulate at a time; no effect on the result.
+      emg: condition to the EMG of all its trials, where it tells of reflexes; not of half-wave rectified spindles.
 
     Raises:
       ValueError: trials are of several people or rates, there are none, `initial` or `model` names what is not free, or
@@ -72,11 +75,11 @@ def fit(
     model = model or Model()
     parameters = free_parameters(sets, model)
     everywhere = nearest_arms(sets, arms)
-    problem = Problem(parameters, sets, everywhere, threads)
+    problem = Problem(parameters, sets, everywhere, threads, emg)
     point = start_values(parameters, sets, everywhere, initial or {})
     begin, save = None, None
     if checkpoint is not None:
-        digest = digest_of(problem, point.tolist(), sorted(everywhere.items()), n_pairs, seed)
+        digest = digest_of(problem, point.tolist(), sorted(everywhere.items()), n_pairs, seed, *digests(emg))
         begin, save = load_position(checkpoint, digest), partial(save_position, checkpoint, digest)
     if begin is None:
         state = best_start(problem, point, initial or {})
@@ -176,7 +179,7 @@ def _estimate(
     covariance = covariance[:n, :n]
     error = np.sqrt(np.diag(covariance))
     near = np.minimum(state.point - parameters.lower, parameters.upper - state.point) < AT_BOUND
-    problem.weigh(problem.residual(predicted))
+    problem.weigh(state, problem.residual(predicted))
     values = {name: value_at(name, at) for name, at in zip(names, state.point, strict=True)}
     coordinate_error = dict(zip(names, error.tolist(), strict=True))
     correlation = covariance / np.outer(error, error)

@@ -25,6 +25,7 @@ def fit_summary(result: NonlinearIdentification) -> dict[str, Any]:
     return {
         "model": "nonlinear",
         "law": estimate.model.law,
+        "emg": list(result.emg),
         "status": estimate.message,
         "converged": estimate.converged,
         "n_steps": estimate.n_steps,

@@ -11,11 +11,13 @@ import pandas as pd
 import xarray as xr
 
 from armperturb.analysis.defaults import WINDOW_START
+from armperturb.analysis.emg.envelope import Envelopes
 from armperturb.analysis.nonlinear.choice import Choice, compare_laws
 from armperturb.analysis.nonlinear.estimate import N_PAIRS, N_PAIRS_OF_ERRORS, fit, nearest_arms
 from armperturb.analysis.nonlinear.model import Law, Model
 from armperturb.analysis.nonlinear.prediction import PulsePrediction, facts_of, predict_pulses, predict_pulses_linearly
 from armperturb.analysis.nonlinear.result import NonlinearEstimate
+from armperturb.analysis.nonlinear.spindle_emg import usable_emg
 from armperturb.analysis.nonlinear.start import linear_arms
 from armperturb.analysis.nonlinear.trials import fitted_conditions, training_sets
 from armperturb.analysis.results import Description, Result
@@ -36,18 +38,22 @@ class NonlinearIdentification(Result):
       arms: condition to its linear arm.
       pulses: "nonlinear", "linear" and "skeletal" (linear muscle on the nonlinear skeleton) to their predictions of
         the pulses that were left out, all in the same order.
+      emg: conditions whose EMG was used beside the movement.
     """
 
     estimate: NonlinearEstimate
     choice: Choice | None
     arms: Mapping[str, Subject]
     pulses: Mapping[str, tuple[PulsePrediction, ...]]
+    emg: tuple[str, ...] = ()
 
     def describe(self) -> Description:
         """The estimate, why its law was chosen, and how well the models predict the left-out pulses."""
         estimate = self.estimate.describe()
         pulses = facts_of({f"{model} model": pulses for model, pulses in self.pulses.items()})
-        return replace(estimate, facts=(*estimate.facts, *(self.choice.verdict() if self.choice else ()), *pulses))
+        used = (f"EMG of {', '.join(self.emg)} used beside the movement",) if self.emg else ()
+        verdict = self.choice.verdict() if self.choice else ()
+        return replace(estimate, facts=(*estimate.facts, *used, *verdict, *pulses))
 
     def to_frame(self) -> pd.DataFrame:
         """One row per free parameter, with the columns of `results.PARAMETER_COLUMNS`."""
@@ -100,6 +106,8 @@ def identify_nonlinear(
     folder: Path | None = None,
     progress: Callable[[str], object] | None = None,
     threads: int = 1,
+    emg: Envelopes | None = None,
+    emg_delay: float = 0.0,
     n_pairs: int = N_PAIRS,
     n_pairs_of_errors: int = N_PAIRS_OF_ERRORS,
 ) -> NonlinearIdentification:
@@ -114,11 +122,13 @@ def identify_nonlinear(
       folder: for checkpoints; fits that were stopped there go on.
       progress: called with a line after each step.
       threads: how many simulate at a time; no effect on the result.
+      emg: of all trials, to be used beside the movement; delays of reflexes are then estimated too.
+      emg_delay: time by which muscles answer later than their EMG, beyond the activation dynamics [s].
       n_pairs: pairs of draws of the noise, see `fit`.
       n_pairs_of_errors: pairs of draws from which errors are estimated.
 
     Raises:
-      ValueError: the recording is refused or cannot be identified, or the law is unknown.
+      ValueError: the recording is refused or cannot be identified, the law is unknown, or EMG cannot be used with it.
       OSError: a checkpoint cannot be written.
       ModuleNotFoundError: numba is not installed.
     """
@@ -127,6 +137,8 @@ def identify_nonlinear(
         raise ValueError(
             "law = 'half-wave' of trials without reflexes (task RT); expected trials of the task PT (or --law full)"
         )
+    if emg is not None and law in ("half-wave", "choose"):
+        raise ValueError(f"law = {law!r} with EMG; expected full, short-range or linear (or the movement alone)")
     directions = list(pulse_directions_deg)
     sets = fitted_conditions(recording)
     recorded = {float(deg) for trials in sets.values() for deg in trials.direction_deg if not np.isnan(deg)}
@@ -140,11 +152,13 @@ def identify_nonlinear(
         n_pairs=n_pairs, n_pairs_of_errors=n_pairs_of_errors, progress=progress, threads=threads
     )
     choice = None
+    used = usable_emg(sets, arms, emg, emg_delay) if emg else {}
     if law == "choose":
         choice = compare_laws(fitted, arms, left_out, mechanisms=True, checkpoint=folder, **options)
         estimate = choice.estimate
     else:
-        estimate = fit(fitted, arms, Model(law=law), checkpoint=folder and folder / "checkpoint.json.gz", **options)
+        model = Model(law=law, free=("Td",) if used else ())
+        estimate = fit(fitted, arms, model, emg=used, checkpoint=folder and folder / "checkpoint.json.gz", **options)
     pulses: dict[str, list[PulsePrediction]] = {"nonlinear": [], "linear": [], "skeletal": []}
     everywhere = nearest_arms(list(sets.values()), arms)
     for trials in left_out:
@@ -157,4 +171,5 @@ def identify_nonlinear(
         choice=choice,
         arms=arms,
         pulses={model: tuple(predicted) for model, predicted in pulses.items()},
+        emg=tuple(used),
     )

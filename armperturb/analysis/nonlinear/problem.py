@@ -15,8 +15,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from armperturb.analysis.nonlinear.model import EFFECTS, Parameters, person
+from armperturb.analysis.nonlinear.model import EFFECTS, Parameters, person, stem
 from armperturb.analysis.nonlinear.noise import Noise
+from armperturb.analysis.nonlinear.spindle_emg import (
+    N_REFLEX,
+    POSITION,
+    REFLEX,
+    VELOCITY,
+    EmgInFit,
+    EmgOfTrials,
+    SpindleEmg,
+    reflex_values,
+)
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array, ComplexArray, Indices
 from armperturb.planar_arm.lanes import lane_table
@@ -103,7 +113,12 @@ class Problem:
     """
 
     def __init__(
-        self, parameters: Parameters, sets: Sequence[ConditionTrials], arms: Mapping[str, Subject], threads: int = 1
+        self,
+        parameters: Parameters,
+        sets: Sequence[ConditionTrials],
+        arms: Mapping[str, Subject],
+        threads: int = 1,
+        emg: Mapping[str, EmgInFit] | None = None,
     ) -> None:
         """Take the trials.
 
@@ -112,6 +127,7 @@ class Problem:
           sets: trials; each set has its own noise.
           arms: condition to a linear arm near the person there.
           threads: how many simulate at a time; no effect on the result.
+          emg: condition to the EMG of all its trials, of conditions that have some; None for the movement alone.
 
         Raises:
           ValueError: sampling rates differ.
@@ -144,6 +160,13 @@ class Problem:
             Noise(arms[trials.label], trials.environment, trials.end, trials.n_trials, trials.rate)
             for trials in self.sets
         ]
+        self._emg = EmgOfTrials(
+            [
+                (rows, SpindleEmg(emg[trials.label].of(trials), arms[trials.label], emg[trials.label].delay))
+                for trials, rows in zip(self.sets, self.rows, strict=True)
+                if emg and trials.label in emg
+            ]
+        )
         self._average_over(Disturbances(self.perturbation, self._rate, self._threads))
 
     @property
@@ -244,10 +267,11 @@ class Problem:
             left[trial, end:] = 0.0
         return left
 
-    def weigh(self, residual: Array) -> None:
-        """Estimate the spectrum of each set's noise from the residuals; it weights costs and slopes from now on."""
+    def weigh(self, state: State, residual: Array) -> None:
+        """Estimate the spectrum of each set's noise from what a state leaves; it weights costs and slopes."""
         for rows, noise in zip(self.rows, self.noises, strict=True):
             noise.weigh(residual[rows])
+        self._emg.weigh(self._reflexes(state))
 
     def white(self, signal: Array) -> list[Array]:
         """Displacements of all trials [m], (trial, time, axis), as numbers of unit variance if they are noise."""
@@ -264,8 +288,8 @@ class Problem:
         return np.where(np.isfinite(predicted).all(axis=(1, 2)), total, np.inf)
 
     def cost(self, state: State, predicted: Array) -> float:
-        """Sum of `costs`."""
-        return float(np.sum(self.costs(state, predicted)))
+        """Sum of `costs`, and that of EMG."""
+        return float(np.sum(self.costs(state, predicted))) + self._emg.cost(self._reflexes(state))
 
     def log_determinants(self, state: State) -> Array:
         """Minus twice the log-likelihood and log prior of each trial, less its `costs` and a constant, (trial,)."""
@@ -278,7 +302,8 @@ class Problem:
 
     def objective(self, state: State, predicted: Array) -> float:
         """Minus twice the log-likelihood and log prior, but for a constant, with the noise as last estimated."""
-        return self.cost(state, predicted) + float(np.sum(self.log_determinants(state)))
+        of_movement = float(np.sum(self.costs(state, predicted) + self.log_determinants(state)))
+        return of_movement + self._emg.objective(self._reflexes(state))
 
     def slopes(self, state: State, *, n_draws: int | None = None, coarse: bool = False) -> list[Array]:
         """Derivatives of white predictions: of each trial (parameters and own effects, number)."""
@@ -319,7 +344,8 @@ class Problem:
         white, n = self.white(self.residual(predicted)), len(state.point)
         slope = self.gathered(state, [columns @ left for columns, left in zip(slopes, white, strict=True)])
         slope[n:] -= self.prior(state)[n:] * state.effects
-        return Normal(self._information(state, slopes), slope)
+        of_emg = self.emg_normal(state)
+        return Normal(self._information(state, slopes, of_emg), slope + of_emg.slope)
 
     def unexplained(
         self, state: State, slopes: Sequence[Array], records: Iterable[Sequence[Array]]
@@ -343,9 +369,34 @@ class Problem:
             )
         return left
 
-    def _information(self, state: State, slopes: Sequence[Array]) -> Array:
-        """Of trials and prior, were the noise white, (unknown, unknown)."""
-        return self.gathered(state, [columns @ columns.T for columns in slopes]) + np.diag(self.prior(state))
+    def _information(self, state: State, slopes: Sequence[Array], of_emg: Normal | None = None) -> Array:
+        """Of trials, EMG and prior, were the noise white, (unknown, unknown)."""
+        of_emg = of_emg or self.emg_normal(state)
+        of_movement = self.gathered(state, [columns @ columns.T for columns in slopes])
+        return of_movement + of_emg.matrix + np.diag(self.prior(state))
+
+    def emg_normal(self, state: State) -> Normal:
+        """Gauss-Newton equations of the EMG alone; zero without any."""
+        n, at = len(state.point), self._reflexes(state)
+        changes = np.zeros((n + len(state.effects), *at.shape))
+        if not self._emg.is_empty:
+            for column, name in enumerate(self.parameters.names):
+                if stem(name) in REFLEX:
+                    point = state.point.copy()
+                    point[column] += COORDINATE_STEP
+                    changes[column] = (self._reflexes(state._replace(point=point)) - at) / COORDINATE_STEP
+            for place, kind in enumerate(self.kind_of):
+                trial = next(i for i, places in enumerate(self.effects_of) if places.start <= place < places.stop)
+                factor = {"kv": VELOCITY, "kp": POSITION}.get(self.kinds[kind][1])
+                if factor is not None:
+                    changes[n + place, trial, factor] = at[trial, factor]
+        return Normal(*self._emg.normal(at, changes))
+
+    def _reflexes(self, state: State) -> Array:
+        """`reflex_values` of all trials, (trial, value); of none without EMG."""
+        if self._emg.is_empty:
+            return np.zeros((self.n_trials, N_REFLEX))
+        return np.array([reflex_values(subject) for subject in self.subjects(state)])
 
     def prior(self, state: State) -> Array:
         """Information in the prior, (unknown,)."""

@@ -138,7 +138,7 @@ class Search:
         """Draws of the noise that is left at this state."""
         problem, state = self._problem, self._at.state
         residual = problem.residual(problem.predict([state])[0])
-        problem.weigh(residual)
+        problem.weigh(state, residual)
         return predict_with_noise(problem, state, residual, self._n_pairs, self._seed)
 
     def _approach(self) -> None:
@@ -146,7 +146,7 @@ class Search:
         problem, n = self._problem, len(self._at.state.point)
         predicted = problem.predict([self._at.state])[0]
         for _ in range(self._max_steps):
-            problem.weigh(problem.residual(predicted))
+            problem.weigh(self._at.state, problem.residual(predicted))
             state, damping = self._at.state, self._at.damping
             before = problem.cost(state, predicted)
             normal = problem.normal(state, predicted)
@@ -174,7 +174,7 @@ class Search:
         problem, is_coarse = self._problem, self._at.stage == "nearing"
         for _ in range(MAX_REFERENCES):
             predicted = problem.predict([self._at.reference])[0]
-            problem.weigh(problem.residual(predicted))
+            problem.weigh(self._at.reference, problem.residual(predicted))
             slopes = problem.slopes(self._at.reference, coarse=is_coarse)
             if self._distance():
                 predicted = problem.predict([self._at.state])[0]

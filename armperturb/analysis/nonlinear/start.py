@@ -199,5 +199,5 @@ def _best_levels(problem: Problem, state: State, given: Mapping[str, float]) -> 
 def _objectives(problem: Problem, state: State) -> Array:
     """Minus twice the log-likelihood with the spectrum of these residuals, (trial,); infinite where an arm diverges."""
     predicted = problem.predict([state])[0]
-    problem.weigh(problem.residual(np.nan_to_num(predicted, nan=0.0, posinf=0.0, neginf=0.0)))
+    problem.weigh(state, problem.residual(np.nan_to_num(predicted, nan=0.0, posinf=0.0, neginf=0.0)))
     return problem.costs(state, predicted) + problem.log_determinants(state)

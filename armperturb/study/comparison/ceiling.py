@@ -20,9 +20,9 @@ PEOPLE = 10
 
 MODELS = "123456"
 
-OF_PRINTED_ARMS = {"C": (48, 51), "D": (56, 60), "E": (64, 71)}
+OF_PRINTED_ARMS = {"C": (49, 54), "D": (51, 64), "E": (70, 76)}
 """Appendix to the share of its cells within 1 SD that simulated people have who are the thesis's own mean arms [%]: the
-lower and the higher of models 3 and 5 in PT, under a remnant of 20 Hz and 0.9 (`benchmarks.print_ceiling`)."""
+lower and the higher of models 3 and 5 in PT, with the noise of people (`benchmarks.print_ceiling`)."""
 
 AMPLITUDES = {"PT": ("C.6", "C.10"), "RT": ("C.20", "C.16")}
 """Task to the tables of the parameters with the higher and the lower admittance."""

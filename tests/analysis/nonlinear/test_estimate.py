@@ -415,7 +415,7 @@ def at_truth(noisy):
     problem = Problem(free_parameters(noisy, FEW), noisy, ARMS)
     effects = np.zeros(len(problem.kind_of))
     state = State(np.log([TRUE[name] for name in problem.parameters.names]), effects, np.full(len(problem.kinds), 0.08))
-    problem.weigh(problem.residual(problem.predict([state])[0]))
+    problem.weigh(state, problem.residual(problem.predict([state])[0]))
     return problem, state, problem.slopes(state)
 
 
@@ -444,7 +444,7 @@ def test_draws_are_strong_enough_for_what_a_fit_takes_of_them(noisy, at_truth, m
     problem, state, _ = at_truth
     fitted = strength(problem, state)
     other = Problem(problem.parameters, noisy, ARMS)
-    other.weigh(other.residual(other.predict([state])[0]))
+    other.weigh(state, other.residual(other.predict([state])[0]))
     monkeypatch.setattr(other, "unexplained", lambda state, slopes, records: records)
     assert fitted > 1.001 * strength(other, state)
 

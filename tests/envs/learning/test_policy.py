@@ -49,8 +49,7 @@ def test_it_earns_more_than_the_own_action_with_observations_of_order_1(task):
             observations, rewards, terminated, _, info = envs.step(act)
             assert not terminated.any()
             total += rewards.mean() / 500
-        # Reward is that of each decision, success that of a whole trial: in one of the trials of Position noise is large.
-        assert info["success"].sum() >= (23 if (task, who) == ("Position", "trained") else 24)
+        assert info["success"].all()
         envs.close()
         reward[who], spread[who] = total, np.concatenate(sensed).std(axis=0)
     assert reward["trained"] == pytest.approx(SHIPPED[name]["reward"], abs=0.001)

@@ -439,7 +439,9 @@ def test_the_command_writes_what_simulate_plays(tmp_path, capsys):
     (out / "settings.json").write_text('{"factor_noise_held": 1.0}')
     save_perturbation(Multisine.draw(seed=0, rms=2.0, crested=False), tmp_path / "own.csv", 200.0)
     own = ["--perturbation", str(tmp_path / "own.csv")]
-    assert cli.main(["design", *arguments, *own, "--trials", "2", "--out", str(out)]) == 0
+    assert cli.main(["design", *arguments, *own, "--trials", "2", "--out", str(out)]) == 1
+    assert "trial_09.csv: exists already" in capsys.readouterr().err
+    assert cli.main(["design", *arguments, *own, "--trials", "2", "--out", str(out), "--overwrite"]) == 0
     said = capsys.readouterr().out
     assert "kv_se" in said
     assert "with the noise held" in said
@@ -466,7 +468,7 @@ def test_perturbations_of_somebody_else_are_neither_replaced_nor_removed(tmp_pat
     (tmp_path / "settings.json").write_text("{}")
     POSITION.save(tmp_path / "person.toml")
     options = ["--subject", str(tmp_path / "person.toml"), *LIMIT_OPTIONS, "--goal", "reflex"]
-    assert cli.main(["design", *options, "--out", str(tmp_path)]) == 1
+    assert cli.main(["design", *options, "--out", str(tmp_path), "--overwrite"]) == 1
     assert "trial_01.csv: is of no earlier plan" in capsys.readouterr().err
     assert own.read_text() == "of an experiment"
 
