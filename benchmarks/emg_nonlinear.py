@@ -29,7 +29,8 @@ from benchmarks.emg import MOVED, MOVING, recorded
 def fits_of(person: Person, number: int, seed: int, *, alone: bool) -> dict[str, NonlinearEstimate]:
     """Fits with EMG and, if asked for, without, by name."""
     recording, _ = recorded(person, number, MOVING, seed)
-    recording = recording.isel(trial=np.flatnonzero(np.isin(recording["condition"].values, MOVED)))
+    is_used = np.isin(recording["condition"].values, MOVED) & np.isnan(recording["limit_time"].values)
+    recording = recording.isel(trial=np.flatnonzero(is_used))
     conditions = fitted_conditions(recording)
     sets, _ = training_sets(conditions)
     arms = linear_arms(conditions)

@@ -186,5 +186,5 @@ _NOISE = packaged_table(__package__, "human_noise.toml")
 HUMAN_NOISE = {task: HumanNoise(**values) for task, values in _NOISE.items()}
 """Task to how noisy people are in it; relaxed people make no slow corrections.
 
-Set on criterion and VAF of the thesis's tables C.12 and C.22; docs/calibration.md says how, and what coherence follows.
+Set on criterion and VAF of the thesis's tables C.12 and C.22; docs/calibration.md has how, and the coherence.
 """

@@ -102,7 +102,43 @@ class EmgSpectra(NamedTuple):
         return np.asarray(fft.rfft(part, axis=1)[:, self.used].swapaxes(1, 2))
 
 
-class EmgLikelihood(Whittle):
+class GainsOfJoints(Whittle):
+    """Likelihood of EMG that follows from what the reflexes of each joint see.
+
+    Args:
+      outputs: EMG and rotation.
+      spectra: of these.
+      cause: DFT of what a lack of fit is looked for with, (trial, channel, frequency).
+    """
+
+    def __init__(self, outputs: ReflexOutputs, spectra: EmgSpectra, cause: ComplexArray) -> None:
+        frequency = spectra.frequency
+        self._s = 2j * np.pi * frequency
+        # Each gain, and of which output and joint it is.
+        self._gains = [(output, "se".index(joint)) for output, group in enumerate(outputs.groups) for joint in group]
+        super().__init__(
+            frequency,
+            cause,
+            spectra(outputs.difference) / np.sinc(frequency * outputs.averaging),
+            ALL,
+            scale=np.ones(len(frequency), complex),
+            least=np.finfo(float).tiny,
+            taper=spectra.taper,
+        )
+
+    def _mixed(self, seen: ComplexArray, gains: Array) -> ComplexArray:
+        """Outputs that follow from what reflexes see, (..., output, frequency)."""
+        outputs = np.zeros((*seen.shape[:-2], self._n_outputs, seen.shape[-1]), dtype=complex)
+        for (output, joint), gain in zip(self._gains, gains, strict=False):
+            outputs[..., output, :] += gain * seen[..., joint, :]
+        return outputs
+
+    def _to_smooth(self, values: Array) -> ComplexArray:
+        """EMG noise is nearly white."""
+        return np.multiply.outer(np.eye(self._n_outputs, dtype=complex), np.ones(len(self._s)))
+
+
+class EmgLikelihood(GainsOfJoints):
     """Likelihood of the EMG of the trials of one condition.
 
     Values are the parameters of an arm, as `Likelihood` has them, followed by those of `names`.
@@ -113,29 +149,15 @@ class EmgLikelihood(Whittle):
     """
 
     def __init__(self, outputs: ReflexOutputs, delay: ElectromechanicalDelay) -> None:
-        spectrum = EmgSpectra.of(outputs)
-        frequency = spectrum.frequency
-        observed = spectrum(outputs.difference) / np.sinc(frequency * outputs.averaging)
-        self._s = 2j * np.pi * frequency
-        self._grip_load = None if outputs.grip_load is None else spectrum(outputs.grip_load)
-        # Each gain, and of which output and joint it is.
-        self._gains = [(output, "se".index(joint)) for output, group in enumerate(outputs.groups) for joint in group]
+        spectra = EmgSpectra.of(outputs)
+        self._grip_load = None if outputs.grip_load is None else spectra(outputs.grip_load)
         self.names = tuple(
             f"g_{joint}" if len(group) == 1 else f"g_b{joint}" for group in outputs.groups for joint in group
         )
         self._delay = delay
         if delay.sd > 0.0:
             self.names = (*self.names, DELAY_NAME)
-        tiny = np.finfo(float).tiny
-        super().__init__(
-            frequency,
-            spectrum(outputs.rotation),
-            observed,
-            ALL,
-            scale=np.ones(len(frequency), complex),
-            least=tiny,
-            taper=spectrum.taper,
-        )
+        super().__init__(outputs, spectra, spectra(outputs.rotation))
 
     @property
     def rows(self) -> list[int]:
@@ -196,19 +218,8 @@ class EmgLikelihood(Whittle):
         response = self._late(values)[:, None] * self._feedback(values)
         return np.asarray(np.einsum("jif,tif->tjf", response, self._rotation(values)[trials]))
 
-    def _mixed(self, seen: ComplexArray, gains: Array) -> ComplexArray:
-        """Outputs that follow from it, (..., output, frequency)."""
-        outputs = np.zeros((*seen.shape[:-2], self._n_outputs, seen.shape[-1]), dtype=complex)
-        for (output, joint), gain in zip(self._gains, gains, strict=False):
-            outputs[..., output, :] += gain * seen[..., joint, :]
-        return outputs
-
     def _predicted(self, values: Array, trials: slice = ALL) -> ComplexArray:
         return self._mixed(self._seen(values, trials), values[N_ARM:])
-
-    def _to_smooth(self, values: Array) -> ComplexArray:
-        """EMG noise is nearly white."""
-        return np.multiply.outer(np.eye(self._n_outputs, dtype=complex), np.ones(len(self._s)))
 
     def _slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, ComplexArray]]:
         late, seen, gains = self._late(values), self._seen(values), values[N_ARM:]

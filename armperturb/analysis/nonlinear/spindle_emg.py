@@ -21,8 +21,8 @@ from scipy.interpolate import CubicSpline
 
 from armperturb.analysis.emg.envelope import Envelopes
 from armperturb.analysis.emg.outputs import ReflexOutputs, reflex_outputs
-from armperturb.analysis.fit.emg_likelihood import EmgSpectra
-from armperturb.analysis.fit.whittle import ALL, Whittle
+from armperturb.analysis.fit.emg_likelihood import EmgSpectra, GainsOfJoints
+from armperturb.analysis.fit.whittle import ALL
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array, ComplexArray
 from armperturb.subject import Subject
@@ -95,7 +95,7 @@ def usable_emg(
     }
 
 
-class SpindleEmg(Whittle):
+class SpindleEmg(GainsOfJoints):
     """Likelihood of the EMG of the trials of one condition.
 
     Values are those of `reflex_values`, followed by the gains, (trial, value).
@@ -107,26 +107,15 @@ class SpindleEmg(Whittle):
     """
 
     def __init__(self, outputs: ReflexOutputs, arm: Subject, delay: float) -> None:
-        spectra = EmgSpectra.of(outputs)
-        self._spectra, self._delay = spectra, delay
-        self._s = 2j * np.pi * spectra.frequency
+        self._spectra, self._delay = EmgSpectra.of(outputs), delay
         turned = _rotation(outputs, arm)
         groups = np.stack([turned[..., 0], turned.sum(axis=-1), turned[..., 1]], axis=-1)
         time = np.arange(groups.shape[1]) / outputs.rate
         self._speed = np.asarray(CubicSpline(time, groups, axis=1)(time, 1))
-        self._stretch = spectra(groups)
-        self._joints = [(output, "se".index(joint)) for output, group in enumerate(outputs.groups) for joint in group]
+        self._stretch = self._spectra(groups)
         self._seen_at: tuple[float, ComplexArray] = np.nan, self._stretch
-        self._gains = np.zeros(len(self._joints))
-        super().__init__(
-            spectra.frequency,
-            self._stretch,
-            spectra(outputs.difference) / np.sinc(spectra.frequency * outputs.averaging),
-            ALL,
-            scale=np.ones(len(spectra.frequency), complex),
-            least=np.finfo(float).tiny,
-            taper=spectra.taper,
-        )
+        super().__init__(outputs, self._spectra, self._stretch)
+        self._best = np.zeros(len(self._gains))
 
     def _velocity(self, saturation: float) -> ComplexArray:
         """DFT of what spindles make of the speed of the groups, (trial, group, frequency)."""
@@ -146,19 +135,8 @@ class SpindleEmg(Whittle):
     def _of_joints(self, of_groups: ComplexArray) -> ComplexArray:
         return np.stack([of_groups[..., list(groups), :].sum(axis=-2) for groups in GROUPS_OF_JOINT], axis=-2)
 
-    def _mixed(self, seen: ComplexArray, gains: Array) -> ComplexArray:
-        """Outputs that follow from what reflexes see, (..., output, frequency)."""
-        outputs = np.zeros((*seen.shape[:-2], self._n_outputs, seen.shape[-1]), dtype=complex)
-        for (output, joint), gain in zip(self._joints, gains, strict=True):
-            outputs[..., output, :] += gain * seen[..., joint, :]
-        return outputs
-
     def _predicted(self, values: Array, trials: slice = ALL) -> ComplexArray:
         return self._mixed(self._seen(values, trials), values[N_REFLEX:])
-
-    def _to_smooth(self, values: Array) -> ComplexArray:
-        """EMG noise is nearly white."""
-        return np.multiply.outer(np.eye(self._n_outputs, dtype=complex), np.ones(len(self._s)))
 
     def _slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, ComplexArray]]:
         late, gains = self._late(values), values[N_REFLEX:]
@@ -180,10 +158,10 @@ class SpindleEmg(Whittle):
 
     def _fitted(self, reflexes: Array) -> tuple[Array, Array]:
         """Values with the best gains, and the inverse of the gains' information."""
-        values = np.hstack([reflexes, np.tile(self._gains, (len(reflexes), 1))])
+        values = np.hstack([reflexes, np.tile(self._best, (len(reflexes), 1))])
         normal = self.normal(values, np.eye(values.shape[1])[:, N_REFLEX:])
         inverse = np.linalg.pinv(normal.information, hermitian=True)
-        values[:, N_REFLEX:] = self._gains = self._gains + inverse @ normal.slope
+        values[:, N_REFLEX:] = self._best = self._best + inverse @ normal.slope
         return values, np.asarray(inverse)
 
     def weigh_at(self, reflexes: Array) -> None:

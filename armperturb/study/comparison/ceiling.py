@@ -65,8 +65,8 @@ def causes(within: Mapping[str, float], people: int) -> list[str]:
     ]
     if each:
         lines.append(
-            f"fitted cells beyond 1 SD: {', '.join(each)}; in brackets what people miss who are the printed arms: so "
-            "much is the print's, the rest our people's"
+            f"fitted cells beyond 1 SD: {', '.join(each)}; in brackets what people miss who are the printed arms: only "
+            "what exceeds that is our people's"
         )
     return lines
 
