@@ -77,7 +77,7 @@ def test_the_command_writes_table_and_figure(recordings, tmp_path, capsys):
         (("--what", "total"), "what = 'total' on a position servo"),
         (("--period", "4"), "period = 4; expected none of one axis"),
     ):
-        line = refused(capsys, "response", tmp_path / "ankle.nc", "--out", tmp_path / "out", *options)
+        line = refused(capsys, "response", tmp_path / "ankle.nc", "--out", tmp_path / "other", *options)
         assert message in line
 
 
