@@ -195,16 +195,17 @@ def _of_a_study(command: list[str]) -> Callable[[str], int]:
     return run
 
 
-_LIMITS = ["--goal", "intrinsic", "--force", "5", "--displacement", "0.01", "--duration", "20", "--out", "o", "--overwrite"]
+_INTO = ["--out", "o", "--overwrite"]
+_LIMITS = ["--goal", "intrinsic", "--force", "5", "--displacement", "0.01", "--duration", "20", *_INTO]
 
 COMMANDS: dict[str, Callable[[str], int]] = {
     "convert": lambda file: cli.main(["convert", file, "--out", "o.csv"]),
     "convert --sidecar": lambda file: cli.main(["convert", "good.csv", "--sidecar", file, "--out", "o.csv"]),
     "sidecar": lambda file: cli.main(["sidecar", file, "--out", "o.json"]),
-    "identify": lambda file: cli.main(["identify", file, "--out", "o", "--overwrite"]),
-    "identify --model": lambda file: cli.main(["identify", "good.csv", "--model", file, "--out", "o", "--overwrite"]),
-    "response": lambda file: cli.main(["response", file, "--out", "o", "--overwrite"]),
-    "compare": lambda file: cli.main(["compare", file, "--out", "o", "--overwrite"]),
+    "identify": lambda file: cli.main(["identify", file, *_INTO]),
+    "identify --model": lambda file: cli.main(["identify", "good.csv", "--model", file, *_INTO]),
+    "response": lambda file: cli.main(["response", file, *_INTO]),
+    "compare": lambda file: cli.main(["compare", file, *_INTO]),
     "video": lambda file: cli.main(["video", file, "--trial", "0", "--out", "o.gif"]),
     "view": _view,
     "joint": lambda file: cli.main(["joint", "--person", file, "--duration", "1", "--out", "o.nc"]),
@@ -216,9 +217,9 @@ COMMANDS: dict[str, Callable[[str], int]] = {
         ["simulate", "--mjcf", file, "--hand", "palm", "--perturbation", "push.csv", "--out", "o.nc"]
     ),
     "design": lambda file: cli.main(["design", "--subject", file, *_LIMITS]),
-    "validate": lambda file: cli.main(["validate", "--subject", file, "--groups", "1", "--workers", "1", "--out", "o", "--overwrite"]),
+    "validate": lambda file: cli.main(["validate", "--subject", file, "--groups", "1", "--workers", "1", *_INTO]),
     "live": lambda file: cli.main(["live", "--arms", file, "--out", "o.html"]),
-    "study": lambda file: cli.main(["study", "--protocol", file, "--subjects", "1", "--workers", "1", "--out", "o", "--overwrite"]),
+    "study": lambda file: cli.main(["study", "--protocol", file, "--subjects", "1", "--workers", "1", "--out", "o"]),
     "study, again": _of_a_study(["study", "--subjects", "1", "--workers", "1", "--record-only", "--out", "study"]),
     "report": _of_a_study(["report", "study", "--workers", "1"]),
     "score": _of_a_study(["score", "study"]),
