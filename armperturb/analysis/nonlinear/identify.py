@@ -51,9 +51,12 @@ class NonlinearIdentification(Result):
         """The estimate, why its law was chosen, and how well the models predict the left-out pulses."""
         estimate = self.estimate.describe()
         pulses = facts_of({f"{model} model": pulses for model, pulses in self.pulses.items()})
+        return replace(estimate, facts=(*estimate.facts, *self.model_facts(), *pulses))
+
+    def model_facts(self) -> tuple[str, ...]:
+        """Which EMG was used beside the movement, and why the law was chosen, if there is anything to say."""
         used = (f"EMG of {', '.join(self.emg)} used beside the movement",) if self.emg else ()
-        verdict = self.choice.verdict() if self.choice else ()
-        return replace(estimate, facts=(*estimate.facts, *used, *verdict, *pulses))
+        return *used, *(self.choice.verdict() if self.choice else ())
 
     def to_frame(self) -> pd.DataFrame:
         """One row per free parameter, with the columns of `results.PARAMETER_COLUMNS`."""

@@ -45,8 +45,7 @@ def write_nonlinear_page(
         of_pulses = new_figure(1.0)
         result.plot(of_pulses)
         pictures["pulses"] = Picture.of(of_pulses)
-    used = [f"EMG of {', '.join(result.emg)} used beside the movement"] if result.emg else []
-    said = [*used, *(result.choice.verdict() if result.choice else ()), *estimate.remarks]
+    said = [*result.model_facts(), *estimate.remarks]
     sections: dict[str, dict[str, Any]] = {
         "parameters": {"rows": parameter_rows({"": estimate}, estimate.unit_of), "triples": False, "conditions": [""]},
         "pulses": {},

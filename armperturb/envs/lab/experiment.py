@@ -173,9 +173,12 @@ def _voltages(
     def read(i: int) -> None:
         seen, every = excitation[i], round(1.0 / (rate * setup.timestep))
         noise = trials[i].noise
-        # The fast part is no torque of muscles: their activation is too slow to make it.
-        slow = replace(trials[i], noise=noise and noise.without_fast_part())
-        torque = noise_torque(slow, setup.timestep, n * every) if emg.effort else None
+        if emg.effort and noise is not None:
+            # The fast part is no torque of muscles: their activation is too slow to make it.
+            slow = replace(trials[i], noise=noise.without_fast_part())
+            torque = noise_torque(slow, setup.timestep, n * every)
+        else:
+            torque = None
         if torque is not None:
             seen = seen + emg.effort * effort_excitation(subjects[i], torque[::every], rate)
         emg.read(subjects[i], seen, rate, trials[i].generator(EMG), trials[i].contraction, volts[i])
