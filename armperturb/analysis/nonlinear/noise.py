@@ -46,9 +46,11 @@ class Noise:
         frequency = fft.rfftfreq(n, 1.0 / rate)
         self._used = slice(1, int(np.searchsorted(frequency, min(TOP, 0.45 * rate))))
         self._frequency = frequency[self._used]
-        total = LinearArm(arm, self._frequency).total_admittance(parameter_vector(arm), environment)
+        linear, values = LinearArm(arm, self._frequency), parameter_vector(arm)
+        total = linear.total_admittance(values, environment)
         (a, b), (c, d) = np.moveaxis(total * whitening(self._frequency, rate)[:, None, None], 0, -1)
         self._to_force = np.stack([np.stack([d, -b]), np.stack([-c, a])]) / (a * d - b * c)
+        self._to_torque = linear.equivalent_torque(values)
         self._smoother = Smoother(len(self._frequency), n_trials)
         self.root = np.zeros((len(self._frequency), 2, 2), dtype=complex)
         self._white = self._to_force
@@ -108,21 +110,21 @@ class Noise:
             n_bands += 1
         return chi2, 8 * n_bands
 
-    def force(self, root: ComplexArray, strength: Array, standard: Array) -> Array:
-        """A draw of the hand force [N], (time, axis).
+    def torque(self, root: ComplexArray, strength: Array, standard: Array) -> Array:
+        """A draw of the joint torque that moves the handle like the noise [Nm], (time, joint).
 
         Args:
-          root: of its spectrum, (frequency, axis, axis), as `root` once was.
+          root: of the hand force's spectrum, (frequency, axis, axis), as `root` once was.
           strength: factor on its amplitude, (frequency,).
           standard: independent standard normal numbers, (time, axis).
         """
         n = len(standard)
         frequency = fft.rfftfreq(n, 1.0 / self._rate)
-        shaped = (root * strength[:, None, None]).reshape(len(root), 4)
+        shaped = (self._to_torque @ root * strength[:, None, None]).reshape(len(root), 4)
         fine = np.stack(
             [
-                np.interp(frequency, self._frequency, of.real, right=0.0)
-                + 1j * np.interp(frequency, self._frequency, of.imag, right=0.0)
+                np.interp(frequency, self._frequency, of.real)
+                + 1j * np.interp(frequency, self._frequency, of.imag)
                 for of in shaped.T
             ],
             axis=1,
