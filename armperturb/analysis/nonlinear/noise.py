@@ -130,8 +130,7 @@ class Noise:
         shaped = (self._to_torque @ root * strength[:, None, None]).reshape(len(root), 4)
         fine = np.stack(
             [
-                np.interp(frequency, self._frequency, of.real)
-                + 1j * np.interp(frequency, self._frequency, of.imag)
+                np.interp(frequency, self._frequency, of.real) + 1j * np.interp(frequency, self._frequency, of.imag)
                 for of in shaped.T
             ],
             axis=1,
