@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import MISSING, fields, is_dataclass, make_dataclass
@@ -76,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     command: Command | None = None
     new_folder: Path | None = None
     try:
-        with ended_in_order(), inputs_untouched():
+        with ended_in_order(), warnings_in_a_line(), inputs_untouched():
             command = _parse(arguments)
             new_folder = _missing(getattr(command, "out", None))
             with naming_the_extra(f"armperturb {type(command).__name__.lower()}"):
@@ -134,6 +135,19 @@ def ended_in_order() -> Iterator[None]:
         sys.unraisablehook = reported
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def warnings_in_a_line() -> Iterator[None]:
+    """Within the block, a warning is one line of the command's, without a place in its code."""
+
+    def tell(message: Warning | str, *_: Any, **__: Any) -> None:
+        with suppress(OSError):  # the terminal may be gone
+            print(f"armperturb: warning: {printable(' '.join(str(message).split()))}", file=sys.stderr)
+
+    with warnings.catch_warnings():
+        warnings.showwarning = tell
+        yield
 
 
 def _signal_main_thread(number: int) -> None:

@@ -61,14 +61,16 @@ class LocalProcesses:
     Args:
       count: of processes.
       modules: that they load before they work.
+      ahead: functions that are called first, each in one of the processes, for what they leave on disk; should one
+        fail, whoever needs that hears of it.
     """
 
     remote = False
     """Whether they may lack this machine's file system."""
 
-    def __init__(self, count: int, modules: Sequence[str] = ()) -> None:
+    def __init__(self, count: int, modules: Sequence[str] = (), ahead: Sequence[Callable[[], object]] = ()) -> None:
         self.count = count
-        self._modules = tuple(modules)
+        self._modules, self._ahead = tuple(modules), tuple(ahead)
         self._executor: ProcessPoolExecutor | None = None
 
     def submit(self, function: Callable[[Unit], Result], unit: Unit) -> "Future[Result]":
@@ -86,6 +88,9 @@ class LocalProcesses:
                     initargs=(os.getpid(), self._modules),
                     env={**dict.fromkeys(names, threads), **MALLOC},
                 )
+                for first in self._ahead:
+                    self._executor.submit(first)
+                self._ahead = ()
             return self._executor.submit(function, unit)
 
     def at_once(self) -> int:
@@ -183,24 +188,26 @@ def require_workers(owner: str, count: int | None) -> None:
 
 
 class _Kept(NamedTuple):
-    """Processes that are kept, none or one kind, and the modules that they load."""
+    """Processes that are kept, none or one kind, and what they do first."""
 
     processes: list[LocalProcesses]
     modules: tuple[str, ...]
+    ahead: tuple[Callable[[], object], ...]
 
 
 _KEPT: ContextVar[_Kept | None] = ContextVar("kept workers", default=None)
 
 
 @contextmanager
-def kept_workers(*modules: str) -> Iterator[None]:
+def kept_workers(*modules: str, ahead: Sequence[Callable[[], object]] = ()) -> Iterator[None]:
     """Within it, who asks for as many local processes as who asked before gets the same.
 
     Args:
       modules: what any of their work needs. They load it first: what a process takes up later counts as a leak, for
         which it is started anew.
+      ahead: see `LocalProcesses`.
     """
-    kept_ones = _Kept([], modules)
+    kept_ones = _Kept([], modules, tuple(ahead))
     token = _KEPT.set(kept_ones)
     try:
         yield
@@ -218,7 +225,7 @@ def _local_processes(count: int) -> LocalProcesses:
     if [workers.count for workers in processes] != [count]:
         for workers in processes:
             workers.close()
-        processes[:] = [LocalProcesses(count, kept_ones.modules)]
+        processes[:] = [LocalProcesses(count, kept_ones.modules, kept_ones.ahead)]
     return processes[0]
 
 

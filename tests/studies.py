@@ -1,6 +1,8 @@
 """The recordings and studies of conftest.py, and what other studies in tests are made with."""
 
+import itertools
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from armperturb.envs.lab.trial import Trial
 from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations import Multisine, MultisineThenPulse
 from armperturb.study.experiments.mechanisms import why_people_yield
+from armperturb.study.recording.folder import ANALYSIS
 from armperturb.study.recording.settings import StudySettings
 from armperturb.study.report import films
 from armperturb.study.report.figures import rig as rig_figures
@@ -160,9 +163,23 @@ def plain_report(study, folder):
     return folder
 
 
+PASSED_ON: dict[frozenset[Path], dict[str, bytes]] = {}
+"""Folders of recordings to files of results about them, see `sketch`."""
+
+
 def sketch(study, out, figures=(), workers=1):
-    """The text of a report without figures but these, and without further simulations."""
+    """The text of a report without figures but these, and without further simulations.
+
+    Results that do not depend on figures are passed on from one report to the next about the same recordings.
+    """
+    folders = {path.parent for path in study.recordings.values()}
+    passed_on = PASSED_ON.setdefault(frozenset(folders), {})
+    (out / ANALYSIS).mkdir(parents=True, exist_ok=True)
+    for name, content in passed_on.items():
+        (out / ANALYSIS / name).write_bytes(content)
     path = write_report(study, out, figures=figures, simulate=False, workers=workers, show_progress=False)
+    for kept in itertools.chain(*((out / ANALYSIS).glob(of_kind) for of_kind in ("*-emg.json.gz", "played-*"))):
+        passed_on[kept.name] = kept.read_bytes()
     return path.read_text(encoding="utf-8")
 
 

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import psutil
@@ -43,6 +44,20 @@ def fail(number):
 
 def wait_long(_):
     time.sleep(60.0)
+
+
+def leave_a_line(file):
+    with file.open("a") as lines:
+        lines.write("done\n")
+
+
+def test_what_is_done_ahead_is_done_once_and_may_fail(tmp_path):
+    ahead = [partial(leave_a_line, tmp_path / "first"), partial(fail, 1), partial(leave_a_line, tmp_path / "second")]
+    with kept_workers(ahead=ahead):
+        for _ in range(2):
+            with workers_for(2, None) as pool:
+                assert sorted(completed(square, range(8), pool)) == [n**2 for n in range(8)]
+    assert [(tmp_path / name).read_text() for name in ("first", "second")] == ["done\n", "done\n"]
 
 
 def test_all_units_are_done_once():

@@ -1,6 +1,7 @@
 """`armperturb study`."""
 
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -44,10 +45,12 @@ class Study(Command):
         from armperturb.study.report.report import write_report
         from armperturb.study.results.analyse import run_study
         from armperturb.study.results.cache import recalled_results
+        from armperturb.study.results.compiling import compile_fits, compile_recording
         from armperturb.workers import kept_workers
 
+        ahead = (partial(compile_recording, self.settings.engine), compile_fits)
         shares = {"recording": RECORDING} | analysis_stages(nonlinear=bool(self.nonlinear))
-        with stages(shares), recalled_results(), kept_workers(LAST_STAGE):
+        with stages(shares), recalled_results(), kept_workers(LAST_STAGE, ahead=ahead):
             result = run_study(
                 self.settings,
                 self.out,

@@ -330,6 +330,7 @@ def simulate_lanes(
     lanes: Table,
     start: Start,
     force: Array,
+    torque: Array,
     of_lane: Indices,
     n_samples: Indices,
     decimation: int,
@@ -342,6 +343,7 @@ def simulate_lanes(
       lanes: from `lanes.lane_table`.
       start: of each lane; where they end, too.
       force: on the handle at the start and middle of each step [N], (trial, 2 step + 1, axis).
+      torque: on the joints likewise [Nm], (trial, 2 step + 1, joint); of no trials where there is none.
       of_lane: which trial each lane is of, (lane,).
       n_samples: how many samples each lane wants, (lane,).
       decimation: steps per sample.
@@ -368,6 +370,10 @@ def simulate_lanes(
                 for stage in range(3):
                     for axis in range(2):
                         w[PUSH + 2 * stage + axis, i] = force[trial, 2 * step + stage, axis]
+                if len(torque):
+                    for stage in range(3):
+                        for joint in range(2):
+                            w[TORQUE + 2 * stage + joint, i] += torque[trial, 2 * step + stage, joint]
             if n_lawful:
                 add_yielding(w, timestep)
             _advance(w, timestep)

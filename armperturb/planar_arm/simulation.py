@@ -1,5 +1,6 @@
 """How people answer disturbances: many lanes of the compiled arm side by side."""
 
+import copy
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
@@ -18,6 +19,10 @@ PARTS_PER_THREAD = 4
 """Batches per thread, as lanes take unequally long: some diverge early, and trials differ in length."""
 
 
+NO_TORQUE = np.zeros((0, 0, 2))
+"""On the joints, in no trial."""
+
+
 class Disturbances:
     """Recorded disturbances, ready to be answered by any number of people.
 
@@ -26,6 +31,7 @@ class Disturbances:
       timestep: of the simulation [s].
       n_samples: of each disturbance.
       force: at the start and middle of each step [N], (trial, 2 step + 1, axis).
+      torque: on the joints beside it [Nm], (trial, 2 step + 1, joint); (0, 0, 2) without any.
 
     Args:
       perturbation: d as recorded [N], (trial, time, axis).
@@ -49,14 +55,33 @@ class Disturbances:
         self.timestep = 1.0 / (rate * self.decimation)
         self.n_samples = perturbation.shape[1]
         self.force = _halved(perturbation, self.decimation, straight)
+        self.torque = NO_TORQUE
+
+    def with_torque(self, torque: Array) -> "Disturbances":
+        """The same disturbances while a torque acts on the joints, smooth between its samples.
+
+        Args:
+          torque: [Nm], (trial, time, joint).
+        """
+        return self._with(_halved(torque, self.decimation, straight=False))
+
+    def with_opposite_torque(self) -> "Disturbances":
+        """The same disturbances with minus the torque."""
+        return self._with(-self.torque)
+
+    def _with(self, halved: Array) -> "Disturbances":
+        other = copy.copy(self)
+        other.torque = halved
+        return other
 
     def coarser(self, longest_step: float) -> "Disturbances":
         """The same disturbances for a simulation with longer steps; these themselves, if its steps are no longer."""
         rate = 1.0 / (self.timestep * self.decimation)
         if _steps_per_sample(rate, longest_step) >= self.decimation:
             return self
-        samples = self.force[:, :: 2 * self.decimation]
-        return Disturbances(samples, rate, self._threads, longest_step=longest_step)
+        samples = slice(None, None, 2 * self.decimation)
+        other = Disturbances(self.force[:, samples], rate, self._threads, longest_step=longest_step)
+        return other.with_torque(self.torque[:, samples]) if len(self.torque) else other
 
     def responses(
         self,
@@ -87,6 +112,7 @@ class Disturbances:
                 lanes[part],
                 first.part(part),
                 self.force,
+                self.torque,
                 of_lane[part],
                 wanted[part],
                 self.decimation,

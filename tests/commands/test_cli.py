@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +55,14 @@ def refused(capsys, *arguments):
 def simulate(folder, *options, subject="subject.toml", perturbation="pulse.csv", out="out.nc"):
     paths = ("--subject", folder / subject, "--perturbation", folder / perturbation, "--out", folder / out)
     return ("simulate", *paths, *options)
+
+
+def test_a_warning_is_one_line_without_a_place_in_the_code(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(cli, "show", lambda _: warnings.warn("two\nlines \x1b[2J", RuntimeWarning, stacklevel=1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        assert run("sidecar", RECORDING.with_name("position.csv"), "--out", tmp_path / "s.json") == 0
+    assert capsys.readouterr().err == "armperturb: warning: two lines \\x1b[2J\n"
 
 
 @pytest.mark.slow(reason="simulates a trial of 30 s and fits it")

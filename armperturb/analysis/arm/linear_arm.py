@@ -109,6 +109,15 @@ class LinearArm:
         arm = self._endpoint(inverse(self._joints(values).impedance), values)
         return matrix_last(product(arm, self._share(arm, environment)))
 
+    def equivalent_torque(self, values: Array) -> ComplexArray:
+        """Torque on the joints that moves the handle as a unit force on it does [m], (frequency, joint, axis).
+
+        A force n reaches the joints through the grip, a torque the handle: with the grip's admittance G, and Y that of
+        the arm behind it, x = P n for either n or a torque J^T (Y - G)^-1 Y n = (J^T + Z J^-1 G) n.
+        """
+        through_grip = product(self._joints(values).impedance, inverse(self._left)) * self._grip(values)
+        return matrix_last(self._right + through_grip)
+
     def joint_impedance_gradient(self, values: Array) -> ComplexArray:
         """Derivative of `joint_impedance` by every parameter, (frequency, joint, joint, parameter)."""
         gradient = Gradient(self._s.shape, tuple(GROUPS))

@@ -1,7 +1,8 @@
 """The person's noise, drawn and simulated: as strong as it must be, and what it says of the errors of a fit.
 
 Were the noise stationary, as its spectrum has it, white residuals would be white. But noise moves a muscle that yields
-the more, the more the disturbance does: it comes in bursts. So the noise is drawn as a hand force, and simulated.
+the more, the more the disturbance does: it comes in bursts. So the noise is drawn as torque on the joints and
+simulated.
 """
 
 from collections.abc import Iterator, Sequence

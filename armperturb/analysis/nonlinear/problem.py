@@ -167,7 +167,8 @@ class Problem:
                 if emg and trials.label in emg
             ]
         )
-        self._average_over(Disturbances(self.perturbation, self._rate, self._threads))
+        self._quiet = Disturbances(self.perturbation, self._rate, self._threads)
+        self._average_over(self._quiet)
 
     @property
     def is_noisy(self) -> bool:
@@ -192,14 +193,12 @@ class Problem:
         rng = np.random.default_rng(draws.seed)
         for _ in range(draws.n_pairs):
             standard = rng.standard_normal(self.perturbation.shape)
-            force = np.zeros_like(self.perturbation)
+            torque = np.zeros_like(self.perturbation)
             for rows, noise, root, strength in zip(self.rows, self.noises, draws.roots, draws.strengths, strict=True):
                 for trial in range(rows.start, rows.stop):
-                    force[trial] = noise.force(root, strength, standard[trial])
-            plus, minus = (
-                Disturbances(self.perturbation + sign * force, self._rate, self._threads) for sign in (1.0, -1.0)
-            )
-            yield plus, minus
+                    torque[trial] = noise.torque(root, strength, standard[trial])
+            plus = self._quiet.with_torque(torque)
+            yield plus, plus.with_opposite_torque()
 
     def odd_and_even(self, state: State, draws: NoiseDraws) -> Iterator[tuple[Array, Array]]:
         """Parts of the response to each pair of draws [m] that change sign with the noise, and that do not."""
