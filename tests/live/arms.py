@@ -14,7 +14,7 @@ from armperturb.live.page import arm_values
 from armperturb.perturbations.multisine import Multisine
 from armperturb.perturbations.pulse import Pulse
 from armperturb.planar_arm.lanes import at_rest, lane_table
-from armperturb.planar_arm.simulation import load_compiled_arm
+from armperturb.planar_arm.simulation import NO_TORQUE, load_compiled_arm
 from armperturb.subject import POSITION, RELAX, at_level
 
 FREQUENCY = np.geomspace(0.15, 45.0, 40)
@@ -79,6 +79,7 @@ def simulated(subjects):
         lanes,
         at_rest(lanes, TIMESTEP),
         np.ascontiguousarray(forces()),
+        NO_TORQUE,
         np.tile(np.arange(2), len(subjects)),
         np.full(len(lanes), n),
         1,
