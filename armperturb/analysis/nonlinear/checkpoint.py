@@ -9,10 +9,13 @@ from armperturb.analysis.nonlinear.problem import Problem
 from armperturb.analysis.nonlinear.search import Position
 from armperturb.archive import read_archive, write_archive
 
+VERSION = 2
+"""Of the search: raised when a position that an earlier one has saved is none of this one's."""
+
 
 def digest_of(problem: Problem, *origin: object) -> str:
-    """Digest of all that a search depends on: structure, trials, and where and how it begins."""
-    digest = hashlib.sha256(repr((problem.parameters.model, *origin)).encode())
+    """Digest of all that a search depends on: its version, structure, trials, and where and how it begins."""
+    digest = hashlib.sha256(repr((VERSION, problem.parameters.model, *origin)).encode())
     for trials in problem.sets:
         digest.update(repr((trials.label, trials.body, trials.environment, trials.end)).encode())
         for signal in (trials.drive, trials.displacement):

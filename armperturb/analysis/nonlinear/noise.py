@@ -20,9 +20,9 @@ from armperturb.subject import Subject
 TOP = 20.0
 """Highest frequency that is fitted [Hz]: the thesis's perturbations reach it."""
 
-HIGHEST = 0.45
-"""Highest frequency of draws over the rate of the samples [-]. Noise above `TOP` hardly moves the handle, but the
-joints, and a muscle that they move is softer."""
+HIGHEST = 50.0
+"""Highest frequency of draws [Hz]. From `TOP` on they have the spectrum of the torque there, as noise of instruments
+hides the person's in the records. It hardly moves the handle, but the joints, and a muscle that they move is softer."""
 
 MOST_CHANGE = 3.0
 """Largest factor by which `matched_strength` departs from 1 [-]."""
@@ -48,22 +48,21 @@ class Noise:
         self._taper = np.ones(n)
         self._taper[-n_taper:] = 0.5 + 0.5 * np.cos(np.pi * (np.arange(n_taper) + 0.5) / n_taper)
         frequency = fft.rfftfreq(n, 1.0 / rate)
-        self._frequency = frequency[1 : int(np.searchsorted(frequency, HIGHEST * rate))]
-        self._n_fitted = int(np.searchsorted(self._frequency, TOP))
+        self._used = slice(1, int(np.searchsorted(frequency, min(TOP, 0.45 * rate))))
+        self._frequency = frequency[self._used]
         linear, values = LinearArm(arm, self._frequency), parameter_vector(arm)
         total = linear.total_admittance(values, environment)
         (a, b), (c, d) = np.moveaxis(total * whitening(self._frequency, rate)[:, None, None], 0, -1)
         self._to_force = np.stack([np.stack([d, -b]), np.stack([-c, a])]) / (a * d - b * c)
         self._to_torque = linear.equivalent_torque(values)
         self._smoother = Smoother(len(self._frequency), n_trials)
-        self._fitted_smoother = Smoother(self._n_fitted, n_trials)
         self.root = np.zeros((len(self._frequency), 2, 2), dtype=complex)
-        self._white = self._to_force[..., : self._n_fitted]
+        self._white = self._to_force
 
     def _spectrum(self, mixing: ComplexArray, residual: Array) -> ComplexArray:
         """DFT of residuals (trial, time, axis), mixed by (axis, axis, frequency), (trial, axis, frequency)."""
         faded = whitened(residual[:, : self._n], self._rate) * self._taper[:, None]
-        spectrum = fft.rfft(faded, axis=1)[:, 1 : 1 + mixing.shape[-1]].transpose(0, 2, 1)
+        spectrum = fft.rfft(faded, axis=1)[:, self._used].transpose(0, 2, 1)
         return np.einsum("abf,tbf->taf", mixing, spectrum)
 
     def _power(self, residual: Array) -> ComplexArray:
@@ -78,7 +77,7 @@ class Noise:
         self.root = np.linalg.cholesky(smooth + floor[:, None, None] * np.eye(2))
         # Real and imaginary part of the residual have half its power each.
         white = np.sqrt(2.0) * np.linalg.solve(self.root, np.moveaxis(self._to_force, -1, 0))
-        self._white = np.moveaxis(white[: self._n_fitted], 0, -1)
+        self._white = np.moveaxis(white, 0, -1)
 
     @property
     def log_determinant(self) -> float:
@@ -105,12 +104,10 @@ class Noise:
         """
         real, imaginary = np.split(white.reshape(*white.shape[:-1], 2, 2, -1), 2, axis=-3)
         spectrum = np.moveaxis((real + 1j * imaginary)[..., 0, :, :], -3, 0)
-        fitted = self._frequency[: self._n_fitted]
-        force = fft.rfft(perturbation[:, : self._n] * self._taper[:, None], axis=1)
-        force = force[:, 1 : 1 + self._n_fitted].transpose(0, 2, 1)
-        changes = np.einsum("aof,tif->tafoi", self._white * whitening(fitted, self._rate), force)
+        force = fft.rfft(perturbation[:, : self._n] * self._taper[:, None], axis=1)[:, self._used].transpose(0, 2, 1)
+        changes = np.einsum("aof,tif->tafoi", self._white * whitening(self._frequency, self._rate), force)
         chi2, n_bands = np.zeros(white.shape[:-2]), 0
-        for band in excited_bands(fitted, force):
+        for band in excited_bands(self._frequency, force):
             basis, _ = np.linalg.qr(changes[:, :, band].reshape(-1, 4))
             in_band = np.moveaxis(spectrum[..., band], 0, -3).reshape(*chi2.shape, -1)
             chi2 += np.sum(np.abs(in_band @ basis.conj()) ** 2, axis=-1)
@@ -128,6 +125,7 @@ class Noise:
         n = len(standard)
         frequency = fft.rfftfreq(n, 1.0 / self._rate)
         shaped = (self._to_torque @ root * strength[:, None, None]).reshape(len(root), 4)
+        # np.interp holds the last value.
         fine = np.stack(
             [
                 np.interp(frequency, self._frequency, of.real) + 1j * np.interp(frequency, self._frequency, of.imag)
@@ -135,6 +133,7 @@ class Noise:
             ],
             axis=1,
         ).reshape(-1, 2, 2)
+        fine[frequency > HIGHEST] = 0.0
         fine[0] = 0.0
         spectrum = np.einsum("fab,fb->fa", fine, fft.rfft(standard, axis=0) / np.sqrt(n))
         return np.asarray(fft.irfft(spectrum * np.sqrt(n / np.sum(self._taper**2)), n, axis=0))
@@ -147,9 +146,8 @@ class Noise:
           simulated: residuals of draws of strength 1, (draw and trial, number).
         """
         wanted, drawn = (
-            self._fitted_smoother(np.mean(np.sum(values.reshape(len(values), 4, -1) ** 2, axis=1), axis=0))
+            self._smoother(np.mean(np.sum(values.reshape(len(values), 4, -1) ** 2, axis=1), axis=0))
             for values in (white, simulated)
         )
         ratio = np.sqrt(wanted / np.maximum(drawn, np.finfo(float).tiny))
-        strength = np.clip(ratio, 1.0 / MOST_CHANGE, MOST_CHANGE)
-        return np.pad(strength, (0, len(self._frequency) - self._n_fitted), mode="edge")
+        return np.clip(ratio, 1.0 / MOST_CHANGE, MOST_CHANGE)

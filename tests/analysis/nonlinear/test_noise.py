@@ -70,9 +70,23 @@ def test_draws_move_the_handle_as_the_noise_does(noise, residual):
     (frequency, found), (_, expected) = spectra(draws), spectra(residual)
     for low, high in ((0.4, 1.5), (1.5, 4.0), (4.0, 10.0), (10.0, 20.0)):
         band = (frequency >= low) & (frequency < high)
-        wanted = expected[band].mean(axis=0)
-        # What two signals share is uncertain by a share of what each has.
-        np.testing.assert_allclose(found[band].mean(axis=0), wanted, rtol=0.12, atol=0.03 * wanted.max())
+        (x, y, shared), (wanted_x, wanted_y, wanted) = (each[band].mean(axis=0) for each in (found, expected))
+        np.testing.assert_allclose([x, y], [wanted_x, wanted_y], rtol=0.12)
+        assert shared / np.sqrt(x * y) == pytest.approx(wanted / np.sqrt(wanted_x * wanted_y), abs=0.03)
+
+
+def test_noise_of_instruments_is_not_taken_for_the_persons_however_fast_they_sample():
+    white, torque = np.random.default_rng(3).standard_normal((N_TRIALS, 4 * N, 2)), []
+    force = signal.sosfilt(signal.butter(2, 3.0, fs=4 * RATE, output="sos"), white, axis=1)
+    path = simulate_linear(RELAX, Environment(), force, 4 * RATE).displacement
+    for every in (4, 1):
+        added = np.random.default_rng(4).standard_normal(path[:, ::every].shape) / np.sqrt(every)
+        sampled = path[:, ::every] + 2e-6 * added  # of one density at all rates
+        noise = Noise(RELAX, Environment(), sampled.shape[1], N_TRIALS, 4 * RATE / every)
+        noise.weigh(sampled)
+        standard = np.random.default_rng(5).standard_normal(sampled.shape[1:])
+        torque.append(noise.torque(noise.root, np.ones(len(noise.root)), standard).std(axis=0))
+    np.testing.assert_allclose(*torque, rtol=0.2)
 
 
 def test_strength_makes_up_for_draws_that_are_too_weak(noise, residual):
