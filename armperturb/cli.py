@@ -86,7 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 show(list(command.run()))
     except REFUSED as error:
         _remove_empty(new_folder)
-        print(f"armperturb: error: {printable(' '.join(str(error).split()))}", file=sys.stderr)
+        tell("error", error)
         return 1
     except KeyboardInterrupt as interrupt:
         remove_unfinished()
@@ -141,12 +141,12 @@ def ended_in_order() -> Iterator[None]:
 def warnings_in_a_line() -> Iterator[None]:
     """Within the block, a warning is one line of the command's, without a place in its code."""
 
-    def tell(message: Warning | str, *_: Any, **__: Any) -> None:
+    def show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
         with suppress(OSError):  # the terminal may be gone
-            print(f"armperturb: warning: {printable(' '.join(str(message).split()))}", file=sys.stderr)
+            tell("warning", message)
 
     with warnings.catch_warnings():
-        warnings.showwarning = tell
+        warnings.showwarning = show_warning
         yield
 
 
@@ -157,6 +157,11 @@ def _signal_main_thread(number: int) -> None:
         signal.pthread_kill(main_thread, number)
     else:
         signal.raise_signal(number)
+
+
+def tell(kind: str, message: object) -> None:
+    """Print an error or a warning as one line."""
+    print(f"armperturb: {kind}: {printable(' '.join(str(message).split()))}", file=sys.stderr)
 
 
 def show(lines: Iterable[str]) -> None:

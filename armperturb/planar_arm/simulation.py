@@ -18,7 +18,6 @@ STEP = 2.5e-3
 PARTS_PER_THREAD = 4
 """Batches per thread, as lanes take unequally long: some diverge early, and trials differ in length."""
 
-
 NO_TORQUE = np.zeros((0, 0, 2))
 """On the joints, in no trial."""
 
@@ -63,15 +62,8 @@ class Disturbances:
         Args:
           torque: [Nm], (trial, time, joint).
         """
-        return self._with(_halved(torque, self.decimation, straight=False))
-
-    def with_opposite_torque(self) -> "Disturbances":
-        """The same disturbances with minus the torque."""
-        return self._with(-self.torque)
-
-    def _with(self, halved: Array) -> "Disturbances":
         other = copy.copy(self)
-        other.torque = halved
+        other.torque = _halved(torque, self.decimation, straight=False)
         return other
 
     def coarser(self, longest_step: float) -> "Disturbances":

@@ -197,8 +197,7 @@ class Problem:
             for rows, noise, root, strength in zip(self.rows, self.noises, draws.roots, draws.strengths, strict=True):
                 for trial in range(rows.start, rows.stop):
                     torque[trial] = noise.torque(root, strength, standard[trial])
-            plus = self._quiet.with_torque(torque)
-            yield plus, plus.with_opposite_torque()
+            yield self._quiet.with_torque(torque), self._quiet.with_torque(-torque)
 
     def odd_and_even(self, state: State, draws: NoiseDraws) -> Iterator[tuple[Array, Array]]:
         """Parts of the response to each pair of draws [m] that change sign with the noise, and that do not."""
