@@ -305,12 +305,12 @@ class Problem:
 
     def slopes(self, state: State, *, n_draws: int | None = None, coarse: bool = False) -> list[Array]:
         """Derivatives of white predictions: of each trial (parameters and own effects, number)."""
-        states = []
-        for column in range(len(state.point)):
-            point = state.point.copy()
-            point[column] += COORDINATE_STEP
-            states.append(state._replace(point=point))
-        for effect in range(max(places.stop - places.start for places in self.effects_of)):
+        n_effects = max(places.stop - places.start for places in self.effects_of)
+        # Beyond a bound there may be no such person.
+        is_inside = state.point + COORDINATE_STEP <= self.parameters.upper
+        steps = np.append(np.where(is_inside, COORDINATE_STEP, -COORDINATE_STEP), np.full(n_effects, COORDINATE_STEP))
+        states = [state._replace(point=state.point + step) for step in np.diag(steps[: len(state.point)])]
+        for effect in range(n_effects):
             effects = state.effects.copy()
             for places in self.effects_of:
                 if places.start + effect < places.stop:
@@ -319,7 +319,7 @@ class Problem:
         predicted = self.predict([state, *states], n_draws=n_draws, coarse=coarse)
         if coarse and not np.isfinite(predicted).all():  # the step is too long for this arm
             return self.slopes(state, n_draws=n_draws)
-        changes = (predicted[1:] - predicted[0]) / COORDINATE_STEP
+        changes = (predicted[1:] - predicted[0]) / steps[:, None, None, None]
         slopes = []
         for rows, noise in zip(self.rows, self.noises, strict=True):
             for trial in range(rows.start, rows.stop):

@@ -1,5 +1,6 @@
 """Fits to trials that MuJoCo simulated: truth found, intervals, going on after a stop, and what is refused."""
 
+import copy
 from dataclasses import replace
 
 import nonlinear_trials as made
@@ -430,6 +431,21 @@ def test_what_a_fit_leaves_of_a_record_moves_it_no_more(at_truth):
     n = len(state.point)
     assert np.abs(after[:n]).max() < 1e-6 * np.abs(before[:n]).max()
     assert sum(np.sum(record**2) for record in left) < sum(np.sum(record**2) for record in white)
+
+
+@pytest.mark.slow(reason="simulates eight trials")
+def test_slopes_are_taken_on_this_side_of_a_bound(at_truth):
+    problem, state, slopes = at_truth
+    at_bound = Problem(problem.parameters, problem.sets, ARMS)
+    at_bound.weigh(state, at_bound.residual(at_bound.predict([state])[0]))
+    at_bound.parameters = copy.copy(problem.parameters)
+    at_bound.parameters.upper = state.point  # nothing may grow
+    asked = []
+    predict = at_bound.predict
+    at_bound.predict = lambda states, **options: asked.extend(states) or predict(states, **options)
+    for found, expected in zip(at_bound.slopes(state), slopes, strict=True):
+        np.testing.assert_allclose(found, expected, atol=0.01 * np.abs(expected).max())
+    assert all((each.point <= state.point).all() for each in asked)
 
 
 @pytest.mark.slow(reason="simulates eight trials")
