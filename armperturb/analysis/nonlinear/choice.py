@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import stats
 
+from armperturb.analysis.nonlinear.draws import predict_with_stable_noise
 from armperturb.analysis.nonlinear.estimate import N_PAIRS, fit, free_parameters, nearest_arms
 from armperturb.analysis.nonlinear.model import Law, Model, bounds, stem
 from armperturb.analysis.nonlinear.prediction import PulsePrediction, facts_of, predict_pulses
@@ -319,10 +320,11 @@ def left_out_likelihood(
     parameters = estimate.parameters.fixed_at(estimate.state.point)
     problem = Problem(parameters, [sets[place] for place in used], arms, threads)
     problem.noises = [estimate.noises[place] for place in used]
-    roots = tuple(noise.root for noise in problem.noises)
-    problem.predict_with(NoiseDraws(roots, tuple(estimate.strengths[place] for place in used), n_pairs, seed))
     spread = np.array([estimate.spread[kind] for kind in problem.kinds])
     state = State(np.empty(0), np.zeros(len(problem.kind_of)), spread)
+    roots = tuple(noise.root for noise in problem.noises)
+    strengths = tuple(estimate.strengths[place] for place in used)
+    predict_with_stable_noise(problem, state, NoiseDraws(roots, strengths, n_pairs, seed))
     predicted = problem.predict([state])[0]
     for _ in range(MAX_STEPS):
         normal = problem.normal(state, predicted)

@@ -69,7 +69,17 @@ def predict_with_noise(problem: Problem, state: State, residual: Array, n_pairs:
             )
             for rows, noise in zip(problem.rows, problem.noises, strict=True)
         )
-    draws = NoiseDraws(roots, strengths, n_pairs, seed)
+    return predict_with_stable_noise(problem, state, NoiseDraws(roots, strengths, n_pairs, seed))
+
+
+def predict_with_stable_noise(problem: Problem, state: State, draws: NoiseDraws) -> NoiseDraws:
+    """Let a problem predict in the presence of draws that are weak enough for all arms, and return those.
+
+    Args:
+      problem: predicts with the draws from now on.
+      state: at which arms must not diverge.
+      draws: as strong as they are wanted.
+    """
     problem.predict_with(draws)
     for _ in range(MOST_WEAKENED):
         if np.isfinite(problem.predict([state])).all():
