@@ -4,10 +4,10 @@ Run `python -m benchmarks.kills [COMMAND ...] [--kills N] [--keep FOLDER]`: by d
 kills each, half an hour of a core; with a folder, what was seen is kept there and the rest can follow later. A signal
 goes to the command, to its process group, or to a process that it has started, if there is one. Half of the moments are
 after the first file was begun. Then no process may be left; each file must be that of an undisturbed run or of before,
-to the last byte, or absent if there was none before; the command must have said at most one line of an error; and after
-every signal but KILL there may be no other files. KILL may leave hidden part files, which are counted, and what a study
-continues from. Of every fifth kill of a command that continues where it was interrupted, the same command then runs
-undisturbed, and its files must be those of a first run.
+to the last byte, or absent if there was none before, but checksums may be of the first recordings alone; the command
+must have said at most one line of an error; and after every signal but KILL there may be no other files. KILL may leave
+hidden part files, which are counted, and what a study continues from. Of every fifth kill of a command that continues
+where it was interrupted, the same command then runs undisturbed, and its files must be those of a first run.
 """
 
 import argparse
@@ -34,6 +34,7 @@ import tomli_w
 
 from armperturb import cli
 from armperturb.study.protocol import THESIS
+from armperturb.study.recording.folder import SUMS
 from benchmarks.faults import COMMANDS as FAILED
 from benchmarks.faults import REMOVED, contents, laboratory
 from benchmarks.kept_rows import Row, with_kept_rows
@@ -207,7 +208,12 @@ def wrong(status: int, by: str, files: tuple[dict[str, bytes], dict[str, bytes],
     if "Traceback" in said or sum(line.startswith("armperturb: ") for line in said.splitlines()) > 1:
         return f"status {status}, {said[-200:]!r}"
     hidden = {name for name in now if any(part.startswith(".") for part in Path(name).parts)}
-    other = [name for name, content in now.items() if content not in (before.get(name), after.get(name))]
+    other = [
+        name
+        for name, content in now.items()
+        if content not in (before.get(name), after.get(name))
+        and not (Path(name).name == SUMS and set(content.split(b"\n")) <= set(after.get(name, b"").split(b"\n")))
+    ]
     if others := [name for name in other if not (name in hidden and by.startswith("SIGKILL"))]:
         return f"status {status}, other or new files: {', '.join(others)}"
     if lost := [name for name in before if name not in now and name in after]:

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from scipy import ndimage, stats
+from scipy import stats
 
+from armperturb.analysis.emg.cocontraction import cocontraction
 from armperturb.analysis.emg.envelope import Envelopes, mean_known
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.arrays import Array
@@ -34,10 +35,6 @@ FEWEST_TRIALS = 3
 
 PARTS = ("before", "during")
 """Before anything perturbs the arm, and from then on to the pulse."""
-
-INDEX_AVERAGE, BESIDE = 0.015, 0.01
-"""Time over which power is averaged for the index of co-contraction, and at either side for its choice of the lesser
-antagonist [s]."""
 
 ABOVE_NOISE = 5.0
 """Standard errors by which the power of a trial has to be above the noise for a muscle to co-contract at all [-]."""
@@ -148,10 +145,6 @@ def activity(envelopes: Envelopes, limit: float | None = None) -> Activity:
             seconds = np.array([(b - a) / rate for _, a, b in used])
             levels += _tested(envelopes, str(condition), part, power, seconds, limit)
             is_there = power - envelopes.noise > ABOVE_NOISE * np.sqrt(_scatter(envelopes, power, seconds))
-            averages = [
-                [each * there for each in _averages(envelopes, trial, slice(a, b))]
-                for (trial, a, b), there in zip(used, is_there, strict=True)
-            ]
             for joint, word in JOINTS.items():
                 groups = [
                     [
@@ -162,7 +155,11 @@ def activity(envelopes: Envelopes, limit: float | None = None) -> Activity:
                     for sign in (1, -1)
                 ]
                 if all(groups):
-                    index, ratio = np.mean([_index(*each, *groups) for each in averages], axis=0)
+                    of_trials = [
+                        cocontraction(envelopes, trial, slice(a, b), there, *groups)
+                        for (trial, a, b), there in zip(used, is_there, strict=True)
+                    ]
+                    index, ratio = np.mean(of_trials, axis=0)
                     indices.append((condition, part, word, index, ratio))
     return Activity(
         subject=str(labels["subject"].iloc[0]),
@@ -227,33 +224,6 @@ def holm(p: Array) -> Array:
     adjusted = np.empty(len(p))
     adjusted[order] = np.minimum(stepped, 1.0)
     return adjusted
-
-
-def _averages(envelopes: Envelopes, trial: int, part: slice) -> tuple[Array, Array]:
-    """Amplitudes of a part of a trial over a short time, and beside that time, (time, muscle) both."""
-    half = round(INDEX_AVERAGE * envelopes.rate) // 2
-    apart = half + math.ceil(envelopes.averaging * envelopes.rate / 2.0)
-    reach = apart + max(round(BESIDE * envelopes.rate), 1)
-    distance = np.abs(np.arange(-reach, reach + 1))
-    power = envelopes.power[trial, part]
-    at, beside = (
-        envelopes.amplitude_of(ndimage.convolve1d(power, weight / weight.sum(), axis=0))
-        for weight in ((distance <= half).astype(float), (distance > apart).astype(float))
-    )
-    return at, beside
-
-
-def _index(at: Array, beside: Array, flexors: list[int], extensors: list[int]) -> tuple[float, float]:
-    """Index and ratio of co-contraction of a trial's amplitudes, (time, muscle).
-
-    The lesser of two noisy amplitudes is too small, and averages that are long enough to be free of noise let reflexes
-    pass from one antagonist to the other. So the amplitudes beside a time, the noise of which is another, say which
-    antagonist is the lesser one.
-    """
-    flexed, extended, *others = (mean_known(each[:, side].T) for each in (at, beside) for side in (flexors, extensors))
-    index = float(mean_known(np.where(others[0] < others[1], flexed, extended)))
-    both = float(mean_known(flexed + extended)) / 2.0
-    return index, index / both if both > 0.0 else math.nan
 
 
 def relaxation_sentence(people: Iterable[Activity], conditions: Iterable[str], task: str = "relax task") -> str:

@@ -32,6 +32,26 @@ def test_index_is_the_level_of_co_contraction(level):
     assert index == pytest.approx(true, rel=0.1)
 
 
+@pytest.mark.parametrize("kind", ["fast", "slow"])
+@pytest.mark.parametrize("level", [0.02, 0.1])
+def test_index_is_what_both_antagonists_share_while_they_take_turns(kind, level):
+    n_trials, rate = 9, 2000.0
+    time = np.arange(N) / rate
+    spectrum = np.fft.rfft(np.random.default_rng(1).standard_normal((n_trials, N)))
+    spectrum[:, np.fft.rfftfreq(N, 1.0 / rate) > 20.0] = 0.0
+    fast = np.fft.irfft(spectrum, N)
+    turns = {
+        "fast": 2.0 * level * fast / fast.std(),
+        "slow": np.broadcast_to(3.0 * level * np.sin(2 * np.pi * 0.7 * time), fast.shape),
+    }[kind]
+    amplitude = level + np.maximum(np.stack([turns, -turns], axis=1), 0.0)
+    amplitude[0], amplitude[1] = 1.0, 0.0
+    volts = amplitude * noise((n_trials, 2, N)) + 5e-3 * np.random.default_rng(0).standard_normal((n_trials, 2, N))
+    result = activity(envelopes(recorded(volts, ["MVC", "REST"] + ["PT7.5"] * (n_trials - 2))))
+    index = result.cocontraction.set_index(["condition", "joint"])["index"]["PT7.5", "shoulder"]
+    assert index == pytest.approx(level, rel=0.1)
+
+
 def test_a_muscle_whose_antagonist_is_silent_does_not_co_contract():
     volts = np.array([0.5, 0.0])[:, None] * noise((3, 2, N)) + 1e-3 * np.random.default_rng(0).standard_normal(
         (3, 2, N)
