@@ -159,7 +159,7 @@ def activity(envelopes: Envelopes, limit: float | None = None) -> Activity:
                         cocontraction(envelopes, trial, slice(a, b), there, *groups)
                         for (trial, a, b), there in zip(used, is_there, strict=True)
                     ]
-                    index, ratio = np.mean(of_trials, axis=0)
+                    index, ratio = np.mean(np.array(of_trials), axis=0)
                     indices.append((condition, part, word, index, ratio))
     return Activity(
         subject=str(labels["subject"].iloc[0]),

@@ -30,20 +30,11 @@ NUMBERS = 15.0
 LONGEST = 0.1
 """Time over which power is averaged at most [s]."""
 
+LARGEST_SHARE = 0.5
+"""By which amplitudes are taken to be too small at most [-]: nearer to the noise, that is no small correction."""
+
 WINDOW = 1.0
 """Time in which the difference of antagonists is taken to be normal [s]."""
-
-
-class Cocontraction(NamedTuple):
-    """Of the antagonists of a joint.
-
-    Attributes:
-      index: mean over time of the lesser amplitude [-].
-      ratio: the same over the mean of both [-]; NaN where both are silent.
-    """
-
-    index: float
-    ratio: float
 
 
 class _Side(NamedTuple):
@@ -55,7 +46,7 @@ class _Side(NamedTuple):
 
 def cocontraction(
     envelopes: Envelopes, trial: int, part: slice, is_there: Array, flexors: Sequence[int], extensors: Sequence[int]
-) -> Cocontraction:
+) -> tuple[float, float]:
     """Co-contraction of the muscles of a joint in a part of a trial.
 
     Args:
@@ -65,6 +56,10 @@ def cocontraction(
       is_there: whether each muscle is above its noise at all, (muscle,).
       flexors: muscles of one side.
       extensors: muscles of the other side.
+
+    Returns:
+      Index, the mean over time of the lesser amplitude [-], and its ratio to the mean of both; NaN where both are
+      silent.
     """
     power = envelopes.power[trial, part]
     mean = mean_known(power)
@@ -75,16 +70,17 @@ def cocontraction(
     n = max(round(min(wanted, LONGEST) * envelopes.rate) - 1, 1)  # each sample is a mean over two
     power = power[: len(power) // n * n].reshape(-1, n, power.shape[1]).mean(axis=1)
     numbers = envelopes.samples_per_second * n * envelopes.averaging / (2.0 - 1.0 / n)
-    amplitude = np.nan_to_num(1.0 / (1.0 - of_noise / (4.0 * numbers))) * envelopes.amplitude_of(power)
+    too_small = np.minimum(of_noise / (4.0 * numbers), LARGEST_SHARE)
+    amplitude = np.nan_to_num(1.0 / (1.0 - too_small)) * envelopes.amplitude_of(power)
     squared = np.maximum(power - envelopes.noise, 0.0) + 2.0 * envelopes.noise + envelopes.noise**2 / above
     variance = np.where(is_there, squared / (2.0 * numbers), 0.0)
-    sides = [
+    one_side, other_side = (
         _Side(mean_known(amplitude[:, side].T), mean_known(variance[:, side].T) / len(side))
         for side in (list(flexors), list(extensors))
-    ]
-    lesser = _mean_of_lesser(*sides, round(WINDOW * envelopes.rate / n))
-    both = float(mean_known(sides[0].amplitude + sides[1].amplitude)) / 2.0
-    return Cocontraction(lesser, lesser / both if both > 0.0 else math.nan)
+    )
+    lesser = _mean_of_lesser(one_side, other_side, round(WINDOW * envelopes.rate / n))
+    both = float(mean_known(one_side.amplitude + other_side.amplitude)) / 2.0
+    return lesser, lesser / both if both > 0.0 else math.nan
 
 
 def _mean_of_lesser(flexors: _Side, extensors: _Side, window: int) -> float:
