@@ -14,7 +14,6 @@ channel (N), averaged over k independent numbers, has the variance 2 P^2 / k, so
 """
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -45,7 +44,7 @@ class _Side(NamedTuple):
 
 
 def cocontraction(
-    envelopes: Envelopes, trial: int, part: slice, is_there: Array, flexors: Sequence[int], extensors: Sequence[int]
+    envelopes: Envelopes, trial: int, part: slice, is_there: Array, flexors: list[int], extensors: list[int]
 ) -> tuple[float, float]:
     """Co-contraction of the muscles of a joint in a part of a trial.
 
@@ -65,18 +64,20 @@ def cocontraction(
     mean = mean_known(power)
     above = np.where(is_there, mean - envelopes.noise, np.nan)
     of_noise = (mean / above) ** 2
-    joint = [*flexors, *extensors]
-    wanted = NUMBERS * np.nan_to_num(of_noise / envelopes.samples_per_second)[joint].max()
+    wanted = NUMBERS * np.nan_to_num(of_noise / envelopes.samples_per_second)[flexors + extensors].max()
     n = max(round(min(wanted, LONGEST) * envelopes.rate) - 1, 1)  # each sample is a mean over two
     power = power[: len(power) // n * n].reshape(-1, n, power.shape[1]).mean(axis=1)
     numbers = envelopes.samples_per_second * n * envelopes.averaging / (2.0 - 1.0 / n)
     too_small = np.minimum(of_noise / (4.0 * numbers), LARGEST_SHARE)
     amplitude = np.nan_to_num(1.0 / (1.0 - too_small)) * envelopes.amplitude_of(power)
     squared = np.maximum(power - envelopes.noise, 0.0) + 2.0 * envelopes.noise + envelopes.noise**2 / above
-    variance = np.where(is_there, squared / (2.0 * numbers), 0.0)
+    variance = np.where(is_there, squared / (2.0 * numbers), 0.0 * power)  # unknown where a channel is dead
     one_side, other_side = (
-        _Side(mean_known(amplitude[:, side].T), mean_known(variance[:, side].T) / len(side))
-        for side in (list(flexors), list(extensors))
+        _Side(
+            mean_known(amplitude[:, side].T),
+            mean_known(variance[:, side].T) / np.maximum(np.isfinite(power[:, side]).sum(axis=1), 1),
+        )
+        for side in (flexors, extensors)
     )
     lesser = _mean_of_lesser(one_side, other_side, round(WINDOW * envelopes.rate / n))
     both = float(mean_known(one_side.amplitude + other_side.amplitude)) / 2.0
