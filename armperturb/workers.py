@@ -23,6 +23,7 @@ from typing import NamedTuple, TypeVar
 
 from loky import ProcessPoolExecutor
 from loky import cpu_count as cpu_count
+from loky.backend import resource_tracker as pool_tracker
 
 from armperturb.extras import naming_the_extra
 from armperturb.validation import require_number
@@ -82,6 +83,8 @@ class LocalProcesses:
                 threads = str(self.threads(0, self.count))
                 # Arrays come and go: a process that keeps some memory is restarted, which concerns nobody.
                 warnings.filterwarnings("ignore", "A worker was restarted", UserWarning)
+                with _silent_helpers():
+                    pool_tracker.ensure_running()
                 self._executor = ProcessPoolExecutor(
                     self.count,
                     initializer=_begin,
@@ -356,6 +359,23 @@ def signals_held_back() -> Iterator[None]:
             signal.raise_signal(received[0])
 
 
+@contextmanager
+def _silent_helpers() -> Iterator[None]:
+    """Processes that start in it print nothing: a pool's helper prints tracebacks about a worker that was killed."""
+    try:
+        kept = os.dup(2)
+    except OSError:
+        yield
+        return
+    try:
+        with open(os.devnull, "w") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+
+
 def _on_its_own(function: Callable[[Unit], Result], unit: Unit) -> Result:
     """Compute a unit on a Dask worker as if there were no cluster."""
     import dask
@@ -366,7 +386,10 @@ def _on_its_own(function: Callable[[Unit], Result], unit: Unit) -> Result:
 
 
 def _begin(parent: int, modules: Sequence[str]) -> None:
-    """Load what the work needs; and make this process end soon after its parent, even if that was killed."""
+    """Load what the work needs; and make this process end soon after its parent, even if that was killed.
+
+    A warning is one line, as those of commands are, without a place in the code.
+    """
 
     def watch() -> None:
         while os.getppid() == parent:
@@ -374,5 +397,6 @@ def _begin(parent: int, modules: Sequence[str]) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
+    warnings.formatwarning = lambda message, *_: f"armperturb: warning: {' '.join(str(message).split())}\n"
     for module in modules:
         importlib.import_module(module)

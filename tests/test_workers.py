@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from functools import partial
 from pathlib import Path
 
@@ -40,6 +41,10 @@ def die(_):
 
 def fail(number):
     raise ValueError(f"unit {number} is wrong")
+
+
+def warn(number):
+    warnings.warn(f"unit {number}\nis strange", RuntimeWarning, stacklevel=1)
 
 
 def wait_long(_):
@@ -108,6 +113,24 @@ def test_workers_that_always_die_end_it(monkeypatch):
 def test_what_a_unit_raises_comes_through():
     with pytest.raises(ValueError, match="unit 0 is wrong"):
         list(completed(fail, range(1), LocalProcesses(1)))
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="a process's files are in /proc on Linux alone")
+def test_the_pools_helper_prints_nothing_about_killed_workers():
+    error = os.readlink("/proc/self/fd/2")
+    with workers_for(2, None) as pool:
+        assert list(completed(square, [3], pool)) == [9]
+        helpers = [
+            each for each in psutil.Process().children() if "loky.backend.resource_tracker" in str(each.cmdline())
+        ]
+        assert [os.readlink(f"/proc/{each.pid}/fd/2") for each in helpers] == [os.devnull]
+        assert os.readlink("/proc/self/fd/2") == error
+
+
+def test_a_warning_of_a_worker_is_one_line(capfd):
+    with workers_for(2, None) as pool:
+        list(completed(warn, [3], pool))
+    assert capfd.readouterr().err == "armperturb: warning: unit 3 is strange\n"
 
 
 def test_closing_stops_at_once():
