@@ -27,7 +27,7 @@ from scipy import fft
 from armperturb.analysis.arm.parameters import DELAYS, GRIP_DAMPING, GRIP_STIFFNESS, MATRIX, PARAMETERS
 from armperturb.analysis.emg.outputs import ReflexOutputs
 from armperturb.analysis.fit.likelihood import judged_part
-from armperturb.analysis.fit.trial_effects import FEWEST_TRIALS
+from armperturb.analysis.fit.trial_effects import ASSUMED, FEWEST_TRIALS
 from armperturb.analysis.fit.whittle import ALL, Whittle
 from armperturb.arrays import Array, ComplexArray
 from armperturb.validation import require_number
@@ -46,10 +46,10 @@ FEEDBACK = ("kp", "kv", "ka")
 """Gains by the power of s that they go with."""
 
 FEW_WITH_EMG = (
-    f"EMG of fewer than {FEWEST_TRIALS} trials: intervals of reflexes hold for these trials, as nothing tells how a "
-    "person differs from trial to trial (other conditions in the same fit would: --share gain)"
+    f"EMG of fewer than {FEWEST_TRIALS} trials, which do not tell how a person differs from trial to trial: intervals "
+    f"assume {ASSUMED:.0%} (other conditions in the same fit would tell: --share gain)"
 )
-"""Remark on errors that EMG makes smaller than the differences between trials."""
+"""Remark on an assumption without which EMG would make errors smaller than the differences between trials."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,6 +24,7 @@ from armperturb.analysis.fit.likelihood_search import (
 )
 from armperturb.analysis.fit.structures import unit
 from armperturb.analysis.fit.trial_effects import (
+    ASSUMED,
     FEWEST_TRIALS,
     QUANTITIES,
     SINGULAR,
@@ -301,16 +302,18 @@ def _with_trial_effects(problem: JointLikelihood, search: Searched) -> Searched:
     """The average arm where trials may differ, from one that takes them to be alike.
 
     The noise is estimated with effects of trials that may be large, see `trial_effects.LOOSE`. Where no difference is
-    found, or a step leads to an unstable arm, the search before stands.
+    found, or a step leads to an unstable arm, the search before stands; and where there are too few trials to tell,
+    unless they have EMG.
     """
-    if problem.n_trials < FEWEST_TRIALS:
+    few = problem.n_trials < FEWEST_TRIALS
+    if few and not problem.uses_emg:
         return search
     effects = problem.no_effects()
     values = search.values
     for round_ in range(EFFECT_ROUNDS):
         problem.weigh(values, effects)
         scores = problem.scores(values, effects)
-        mixed = fit_mixed(scores, len(values))
+        mixed = fit_mixed(scores, len(values), ASSUMED if few else None)
         normal = Normal(0.0, mixed.slope[None], mixed.information[None])
         step = bounded_step(normal, 0.0, problem.lower - values, problem.upper - values)
         after = np.clip(values + step, problem.lower, problem.upper)
@@ -347,6 +350,7 @@ def _dispersion(problem: JointLikelihood, search: Searched, fit: LackOfFit) -> f
 
 def _judge(problem: JointLikelihood, method: Method, search: Searched) -> Estimate:
     values, names = search.values, problem.names
+    is_assumed = problem.uses_emg and problem.n_trials < FEWEST_TRIALS
     objective = problem.objective(values)
     if search.effects is not None:
         problem.weigh(values, search.effects)
@@ -371,7 +375,7 @@ def _judge(problem: JointLikelihood, method: Method, search: Searched) -> Estima
         standard_error=dict(zip(names, error.tolist(), strict=True)),
         degrees_of_freedom={} if search.dof is None else dict(zip(names, search.dof.tolist(), strict=True)),
         correlation=correlation,
-        trial_spread={} if search.spread is None else _told(search.spread),
+        trial_spread={} if search.spread is None or is_assumed else _told(search.spread),
         at_bound=tuple(name for name, hit in zip(names, near, strict=True) if hit),
         arms={group.label: arm for group, arm in zip(problem.groups, problem.arms(values), strict=True)},
         message=search.status,
@@ -386,5 +390,4 @@ def _judge(problem: JointLikelihood, method: Method, search: Searched) -> Estima
         n_rounds=search.n_rounds,
         skew={group.label: group.parts[0].skew for group in problem.groups},
     )
-    few = problem.uses_emg and problem.n_trials < FEWEST_TRIALS
-    return replace(result, remarks=(*_remarks(result), *((FEW_WITH_EMG,) if few else ())))
+    return replace(result, remarks=(*_remarks(result), *((FEW_WITH_EMG,) if is_assumed else ())))

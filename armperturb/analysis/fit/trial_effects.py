@@ -27,6 +27,9 @@ QUANTITIES = ("b", "k", "kv", "kp", "ka")
 FEWEST_TRIALS = 3
 """Trials from which on they may differ, or show the dispersion: fewer do not tell by how much."""
 
+ASSUMED = 0.1
+"""Spread where fewer trials have EMG, which makes errors smaller than people's differences between trials [-]."""
+
 RANGE = (1e-4, 1.0)
 """Least and largest spread that is looked for [-]; the least is as good as none."""
 
@@ -89,8 +92,14 @@ class Mixed(NamedTuple):
     dof: Array
 
 
-def fit_mixed(trials: Sequence[TrialScore], n_parameters: int) -> Mixed:
-    """The most likely spreads, and what follows from them."""
+def fit_mixed(trials: Sequence[TrialScore], n_parameters: int, assumed: float | None = None) -> Mixed:
+    """The spreads, and what follows from them.
+
+    Args:
+      trials: what each tells.
+      n_parameters: free parameters of all trials.
+      assumed: spread of every quantity [-]; None for the most likely ones.
+    """
     n_quantities = trials[0].design.shape[1]
     within = np.array([trial.design.T @ trial.information @ trial.design for trial in trials])
     force = np.array([trial.design.T @ trial.score for trial in trials])
@@ -120,6 +129,10 @@ def fit_mixed(trials: Sequence[TrialScore], n_parameters: int) -> Mixed:
         return spread
 
     loose = solve(np.where(tells, LOOSE, 0.0))[3]
+    if assumed is not None:
+        spread = np.where(tells, assumed, 0.0)
+        _, slope, information, _ = solve(spread)
+        return Mixed(spread, slope, information, loose, np.full(n_parameters, np.inf))
     bounds = [tuple(np.log(RANGE))] * int(tells.sum())
     start = np.full(len(bounds), np.log(START))
     logarithms = optimize.minimize(lambda v: solve(spread_of(v))[0], start, method="L-BFGS-B", bounds=bounds).x

@@ -7,10 +7,11 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from armperturb.analysis.fit.diagnosis import Diagnosis
+from armperturb.analysis.fit.emg_likelihood import FEW_WITH_EMG
 from armperturb.analysis.fit.frequency_bands import BandOfLack
 from armperturb.analysis.fit.identify import Identification
 from armperturb.analysis.fit.maximum_likelihood import LARGE_LACK, SKEWED, SUSPICIOUS, Estimate
-from armperturb.analysis.fit.trial_effects import FEWEST_TRIALS
+from armperturb.analysis.fit.trial_effects import ASSUMED, FEWEST_TRIALS
 from armperturb.analysis.fit.whittle import LackOfFit
 from armperturb.analysis.page.data_check import DataCheck
 from armperturb.analysis.response.best_linear import BestLinear
@@ -201,9 +202,10 @@ def unknowns(identification: Identification, check: DataCheck, undecided: Sequen
         if len(poor):
             said.append(f"Around {_listed(poor)} Hz noise dominates the displacement along {name}.")
     if check.n_trials < FEWEST_TRIALS:
+        made_of_it = f"assume {ASSUMED:.0%}" if FEW_WITH_EMG in fit.remarks else "ignore it"
         said.append(
             f"{check.n_trials} {'trial does' if check.n_trials == 1 else 'trials do'} not tell how much the person "
-            f"differs from trial to trial, which {FEWEST_TRIALS} or more would: intervals ignore it."
+            f"differs from trial to trial, which {FEWEST_TRIALS} or more would: intervals {made_of_it}."
         )
     said.append(
         f"All holds for this posture (shoulder {fit.arm.theta_s_deg:.3g}°, elbow {fit.arm.theta_e_deg:.3g}°), and for "

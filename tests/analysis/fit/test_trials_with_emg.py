@@ -7,7 +7,7 @@ import pytest
 
 from armperturb.analysis.emg.envelope import envelopes
 from armperturb.analysis.emg.outputs import reflex_outputs
-from armperturb.analysis.fit.emg_likelihood import ElectromechanicalDelay, EmgLikelihood
+from armperturb.analysis.fit.emg_likelihood import FEW_WITH_EMG, ElectromechanicalDelay, EmgLikelihood
 from armperturb.analysis.fit.group import Group
 from armperturb.analysis.fit.joint_likelihood import JointLikelihood
 from armperturb.analysis.fit.maximum_likelihood import estimate
@@ -71,6 +71,20 @@ def test_effort_that_shows_in_the_emg_raises_doubt(studies, group):
     slow = NOISE.without_fast_part()  # which never shows, and hides in the movement what does
     shown = estimate([with_emg(recorded(studies.perturbed(POSITION, 5.4, 4, noise=slow), 1.0))])
     assert shown.p_value < 1e-4
+
+
+@pytest.mark.slow(reason="simulates two trials with EMG")
+def test_two_trials_are_taken_to_differ_from_the_person(studies):
+    reflexes = ("kv_s", "kv_se", "kv_e", "kp_s", "kp_se", "kp_e")
+    quicker = replace(POSITION, **{name: 1.1 * getattr(POSITION, name) for name in reflexes})
+    fitted = estimate([with_emg(recorded(studies.perturbed(quicker, 5.4, 2, noise=NOISE), 0.0))])
+    assert FEW_WITH_EMG in fitted.remarks
+    assert not fitted.trial_spread
+    for name in reflexes:
+        low, high = fitted.interval(name)
+        assert low < getattr(POSITION, name) < high, name
+        # The mean of two trials that differ by 10 %, as all gains do together, is known no better than to 7 %.
+        assert fitted.standard_error[name] >= 0.07 * abs(fitted.values[name]), name
 
 
 @pytest.mark.slow(reason="simulates three trials with EMG")
