@@ -138,7 +138,12 @@ class Identify(Command):
         if self.emg and self.estimator == "thesis":
             raise ValueError("identify: EMG with estimator = 'thesis'; expected --estimator record or frequency")
         recordings, notes = select_trials(
-            self.recordings, self.sidecar, self.subject, self.condition, single_condition=self.model == "joint"
+            self.recordings,
+            self.sidecar,
+            self.subject,
+            self.condition,
+            single_condition=self.model == "joint",
+            optional=("scheduling", "joint_angle") if self.emg else ("scheduling",),
         )
         kind = self._kind(recordings)
         self._require_options((kind,))
@@ -293,7 +298,8 @@ class Identify(Command):
 
     def _emg(self, notes: list[str]) -> "UseOfEmg | None":
         """EMG of all conditions of the person; None, and a note, where it is missing or cannot be used."""
-        from armperturb.analysis.emg.envelope import envelopes, require_emg
+        from armperturb.analysis.emg.envelope import envelopes, remark_on_duration, require_emg
+        from armperturb.analysis.emg.outputs import require_known_muscles
         from armperturb.analysis.fit.emg_likelihood import ElectromechanicalDelay
         from armperturb.analysis.fit.use_emg import UseOfEmg
         from armperturb.commands.selection import select_trials
@@ -310,9 +316,12 @@ class Identify(Command):
             require_emg(joined)
             del recordings
             result = envelopes(joined[["perturbation", "emg"]].drop_vars("emg_time"))
-        except ValueError as error:
+            require_known_muscles(result)
+        except (ValueError, TypeError, OSError) as error:
             notes.append(f"{error}; the movement alone is used")
             return None
+        if remark := remark_on_duration(joined):
+            notes.append(remark)
         notes.extend(result.remarks)
         return UseOfEmg(envelopes=result, delay=delay)
 
@@ -331,7 +340,9 @@ class Identify(Command):
         self.out.mkdir(parents=True, exist_ok=True)  # now, as checkpoints go there
         try:
             result = identify_nonlinear(
-                recordings[0] if len(recordings) == 1 else join_recordings(recordings).recording,
+                recordings[0]
+                if len(recordings) == 1
+                else join_recordings(recordings, optional=("joint_angle",)).recording,
                 self.law or "full",
                 pulse_directions_deg=self.pulses,
                 window_start=self.window_start,

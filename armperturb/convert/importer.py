@@ -67,7 +67,8 @@ def import_recording(
         the same name but for its ending.
       repair: which faults to repair, see `faults`; all others are refused.
       rate: sampling rate of the recording [Hz]; by default that of the files.
-      optional: what to read of recordings beside `REQUIRED_SIGNALS`, see `load_recording`.
+      optional: what to read beside `REQUIRED_SIGNALS`, where there is any; what is wrong with other signals does not
+        matter.
 
     Returns:
       The trials of all files in their order.
@@ -92,7 +93,7 @@ def import_recording(
     require_each_once(files)
     ours = [path for path in files if path.suffix.lower() in OURS]
     if not ours:
-        return import_trials(_read(files, sidecar), repair, rate)
+        return import_trials(_read(files, sidecar, set(OPTIONAL_SIGNALS) - set(optional)), repair, rate)
     if len(ours) < len(files):
         raise ValueError(f"{ours[0]} beside files of other formats; expected only netCDF or none (convert them first)")
     for name, value in (("sidecar", sidecar), ("repair", repair), ("rate", rate)):
@@ -124,9 +125,11 @@ def require_each_once(files: Sequence[Path]) -> None:
             raise ValueError(f"{path} comes twice; expected each recording once")
 
 
-def _read(files: Sequence[Path], sidecar: str | Path | None) -> Iterable[tuple[Path, Sidecar, Sequence[RawTrial]]]:
+def _read(
+    files: Sequence[Path], sidecar: str | Path | None, without: Collection[str]
+) -> Iterable[tuple[Path, Sidecar, Sequence[RawTrial]]]:
     for path in files:
-        meaning = Sidecar.load(path.with_suffix(".json") if sidecar is None else sidecar)
+        meaning = Sidecar.load(path.with_suffix(".json") if sidecar is None else sidecar, without)
         yield path, meaning, read_trials(path, meaning)
 
 

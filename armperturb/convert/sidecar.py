@@ -1,7 +1,7 @@
 """The sidecar: a JSON file that says what the columns of a laboratory's file mean (docs/recordings.md)."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn, Self
@@ -129,13 +129,28 @@ class Sidecar:
     notes: tuple[str, ...] = ()
 
     @classmethod
-    def load(cls, path: str | Path) -> Self:
+    def load(cls, path: str | Path, without: Collection[str] = ()) -> Self:
         """Read a sidecar; raises as `of`.
+
+        Args:
+          path: of the file.
+          without: signals that are not wanted, whatever is said of them.
 
         Raises:
           OSError: it cannot be read.
         """
-        return cls.of(_parsed(Path(path)), Path(path))
+        content = _parsed(Path(path))
+        if without and isinstance(content, dict):
+            for field, prefix in (("signals", ""), ("guessed", "signals.")):
+                of_field = content.get(field)
+                if isinstance(of_field, dict):
+                    unwanted = tuple(f"{prefix}{name}" for name in without)
+                    content[field] = {
+                        name: value
+                        for name, value in of_field.items()
+                        if not any(name == each or name.startswith(f"{each}.") for each in unwanted)
+                    }
+        return cls.of(content, Path(path))
 
     @classmethod
     def of(cls, content: object, path: Path) -> Self:

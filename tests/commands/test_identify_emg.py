@@ -1,5 +1,6 @@
 """`identify --emg`: what EMG adds to a fit, and what is said where it cannot be used."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -7,6 +8,9 @@ import pandas as pd
 import pytest
 from test_cli import refused, run
 
+from armperturb.analysis.emg.envelope import remark_on_duration
+from armperturb.commands.identify import Identify
+from armperturb.commands.selection import select_trials
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
@@ -63,6 +67,59 @@ def test_without_emg_the_movement_is_identified_alone(recording, tmp_path, capsy
         assert message in said
         assert "the movement alone is used" in said
         assert (tmp_path / name / "parameters.csv").exists()
+
+
+@pytest.fixture(scope="module")
+def text(path, tmp_path_factory):
+    """The recording as text, as a laboratory may have it."""
+    folder = tmp_path_factory.mktemp("text")
+    assert run("convert", path, "--out", folder / "person.csv") == 0
+    return folder
+
+
+@pytest.mark.slow(reason="simulates three trials with EMG")
+def test_text_tells_what_the_recording_does(path, text, tmp_path, without_page):
+    for name in (path, text / "person.csv"):
+        assert run("identify", name, *MODEL, "--emg", "--out", tmp_path / name.suffix) == 0
+    ours, theirs = (table(tmp_path / suffix)["value"] for suffix in (".nc", ".csv"))
+    np.testing.assert_allclose(theirs, ours, rtol=1e-3)
+
+
+@pytest.mark.slow(reason="simulates three trials with EMG")
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"unit": None}, "signals.emg.unit is missing; expected the unit of the values"),
+        ({"unit": "bananas"}, "signals.emg.unit = 'bananas'; expected a unit: V"),
+        ({"rate": 1000.0}, "at emg_rate = 1000 Hz, the other signals"),
+        ({"file": "none.csv"}, "none.csv: no such file"),
+        ({"channels": {"gluteus": "biceps_short_head_V"}}, "of no muscle is it known what it does"),
+    ],
+)
+def test_wrong_emg_does_not_keep_the_movement_from_being_identified(text, tmp_path, capsys, fields, message):
+    for file in text.iterdir():
+        (tmp_path / file.name).symlink_to(file)
+    sidecar = tmp_path / "wrong.json"
+    content = json.loads((text / "person.json").read_text())
+    emg = content["signals"]["emg"] | fields
+    content["signals"]["emg"] = {name: value for name, value in emg.items() if value is not None}
+    sidecar.write_text(json.dumps(content))
+    command = Identify(recordings=(tmp_path / "person.csv",), out=tmp_path / "o", sidecar=sidecar, emg=True)
+    notes = []
+    assert command._emg(notes) is None
+    assert len(notes) == 1
+    assert message in notes[0]
+    assert notes[0].endswith("the movement alone is used")
+    # What is not asked for is not looked at.
+    recordings, _ = select_trials([tmp_path / "person.csv"], sidecar, None, None, single_condition=True)
+    assert "emg" not in recordings[0]
+
+
+@pytest.mark.slow(reason="simulates three trials with EMG")
+def test_emg_that_ends_early_is_said_to(recording):
+    assert remark_on_duration(recording) is None
+    shorter = recording.isel(emg_time=slice(None, -100))
+    assert "EMG lasts 0.05 s less than the other signals" in remark_on_duration(shorter)
 
 
 @pytest.mark.slow(reason="simulates three trials with EMG")

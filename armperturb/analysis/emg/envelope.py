@@ -208,8 +208,8 @@ def require_emg(recording: xr.Dataset) -> None:
     """
     if "emg" not in recording.data_vars:
         raise ValueError("EMG is missing: the recording has no variable 'emg'; expected one (signals.emg of a sidecar)")
-    n, rate = recording.sizes["emg_time"], float(recording.attrs["emg_rate"])
-    duration, others = n / rate, recording.sizes["time"] / float(recording.attrs["rate"])
+    rate = float(recording.attrs["emg_rate"])
+    duration, others = _durations(recording)
     if abs(duration - others) > SHORTER:
         raise ValueError(
             f"EMG is not used: it lasts {duration:.6g} s at emg_rate = {rate:g} Hz, the other signals {others:.6g} s; "
@@ -219,6 +219,24 @@ def require_emg(recording: xr.Dataset) -> None:
         raise ValueError(f"EMG is not used: emg_rate = {rate:g} Hz; expected at least {10.0 * LOW:g} Hz")
     if not np.any(recording["emg"].values):
         raise ValueError("EMG is not used: all channels are zero; expected voltages")
+
+
+def remark_on_duration(recording: xr.Dataset) -> str | None:
+    """What is assumed of EMG that ends before or after the other signals; None if it ends with them."""
+    duration, others = _durations(recording)
+    late = duration - others
+    if abs(late) <= 1.5 / float(recording.attrs["rate"]):
+        return None
+    return (
+        f"EMG lasts {abs(late):.3g} s {'more' if late > 0.0 else 'less'} than the other signals: assumed to begin with "
+        "them and to have their clock"
+    )
+
+
+def _durations(recording: xr.Dataset) -> tuple[float, float]:
+    """Of the EMG and of the other signals [s]."""
+    duration = recording.sizes["emg_time"] / float(recording.attrs["emg_rate"])
+    return duration, recording.sizes["time"] / float(recording.attrs["rate"])
 
 
 def envelopes(

@@ -46,6 +46,19 @@ class ReflexOutputs:
         return replace(self, difference=self.difference[numbers], rotation=self.rotation[numbers], grip_load=load)
 
 
+def require_known_muscles(envelopes: Envelopes) -> None:
+    """Refuse EMG that cannot be an output of an arm.
+
+    Raises:
+      ValueError: of no muscle is it known what it does.
+    """
+    if not any(action.joints in GROUPS and action.sign for action in envelopes.muscles.values()):
+        raise ValueError(
+            "EMG is not used: of no muscle is it known what it does; expected joints and sign (signals.emg.muscles of "
+            "the sidecar)"
+        )
+
+
 def reflex_outputs(trials: ConditionTrials, envelopes: Envelopes) -> ReflexOutputs:
     """EMG of the trials of one condition as outputs of the arm's model.
 
@@ -56,6 +69,7 @@ def reflex_outputs(trials: ConditionTrials, envelopes: Envelopes) -> ReflexOutpu
     Raises:
       ValueError: the envelopes hold other trials of the condition, or of no muscle is it known what it does.
     """
+    require_known_muscles(envelopes)
     rows = np.flatnonzero((envelopes.labels["condition"] == trials.label).to_numpy())
     if len(rows) != trials.n_trials:
         raise ValueError(
@@ -78,11 +92,6 @@ def reflex_outputs(trials: ConditionTrials, envelopes: Envelopes) -> ReflexOutpu
             extensors, flexors = (amplitude[..., side].mean(axis=2) if side else 0.0 for side in sides)
             groups.append(joints)
             differences.append(np.asarray(extensors - flexors))
-    if not groups:
-        raise ValueError(
-            "EMG is not used: of no muscle is it known what it does; expected joints and sign (signals.emg.muscles of "
-            "the sidecar)"
-        )
     difference, turned = np.stack(differences, axis=2), rotation(trials)
     has_angles = "joint_angle" in trials.recording.data_vars
     load = None if has_angles else window(trials.force @ np.linalg.inv(hand_jacobian(trials.body)).T)

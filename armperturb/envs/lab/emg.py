@@ -42,6 +42,9 @@ NEIGHBOURS = (
 CONTRACTED = (1.0, 6.0)
 """When muscles are contracted in a trial of a stated contraction [s]."""
 
+RISE = 0.2
+"""Time that they take before to contract, and after to relax [s]."""
+
 STULEN_DE_LUCA = (60.0, 120.0)
 """Lower and upper frequency of the spectrum of surface EMG [Hz]: |H|^2 = f^2 / ((f^2 + low^2) (f^2 + high^2)^2)."""
 
@@ -123,7 +126,9 @@ class Emg:
         sampled = np.arange(len(excitation)) / rate
         time = sampled if time is None else time
         if contraction is not None:
-            held = (time >= CONTRACTED[0]) & (time < CONTRACTED[1])
+            inside = np.minimum(time - CONTRACTED[0], CONTRACTED[1] - time)
+            # No step, which no person can make and which looks like a fault of the channel.
+            held = np.sin(np.pi / 2 * np.clip(inside / RISE + 1.0, 0.0, 1.0)) ** 2
             return np.broadcast_to(contraction * held, (len(MUSCLES), len(time)))
         # A neural delay is longer than a sample, so that what lies between two samples is known.
         delayed = {

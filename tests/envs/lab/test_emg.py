@@ -115,6 +115,8 @@ def test_a_maximal_contraction_is_full_activation_for_its_time():
     first, last = (round(2000 * time) for time in CONTRACTED)
     np.testing.assert_allclose(volts[first + 50 : last].std(axis=0), 1.0, rtol=0.05)
     assert volts[last + 500 :].std() < 0.01
+    # Contracting takes time: what begins with a step would be a spike of the channel.
+    assert 0.05 < volts[first - 250 : first - 150].std() < 0.95
 
 
 def test_fatigue_raises_the_amplitude_with_the_activation_that_was():
