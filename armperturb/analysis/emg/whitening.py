@@ -28,6 +28,9 @@ WHITE = 0.1
 REWEIGHTED = 3
 """Times that the parts of a spectrum are estimated, each with the weights of the estimate before."""
 
+ALIKE = 0.7
+"""Power of the quietest trial over the mean from which on trials are too much alike to tell the noise well [-]."""
+
 SILENT = 0.1
 """Share of a channel's power above the noise below which its muscle counts as silent [-]."""
 
@@ -186,7 +189,9 @@ def noise_spectra(spectra: Spectra, band: tuple[float, float], is_rest: NDArray[
             size = np.linalg.norm(design, axis=0)
             parts = optimize.nnls(design / size, quietest / expected)[0] / size
             expected = np.maximum(parts[0] * muscle + parts[1], 1e-12 * quietest.max())
-        noise[column] = parts[1]
+        # The mean has the noise as well: the share of it that is in the quietest trial takes as much of it along.
+        taken = np.interp(parts[0], [0.0, ALIKE, 1.0], [0.0, ALIKE, 0.0])
+        noise[column] = parts[1] / (1.0 - taken)
     return noise
 
 

@@ -59,6 +59,19 @@ def test_a_long_trial_is_filtered_in_parts_to_the_same_amplitudes(monkeypatch):
     assert parts.samples_per_second[1] == pytest.approx(whole.samples_per_second[1], rel=0.02)
 
 
+@pytest.mark.parametrize("least", [0.1, 0.15, 0.2])
+def test_noise_is_found_without_a_trial_at_rest(least):
+    """Also where a muscle is never much weaker than on average."""
+    level = np.linspace(least, 0.3, 9)[:, None, None]
+    volts = level * noise((9, 2, N)) + 2e-2 * np.random.default_rng(4).standard_normal((9, 2, N))
+    spectra = whitening.Spectra.of(volts.swapaxes(1, 2).astype(np.float32), EMG_RATE, 20.0, ())
+    found = whitening.noise_spectra(spectra, (20.0, 900.0), np.zeros(9, dtype=bool))
+    silent = 2e-2 * np.random.default_rng(5).standard_normal((20, N, 2)).astype(np.float32)
+    true = whitening.Spectra.of(silent, EMG_RATE, 20.0, ()).power.mean(axis=0)
+    inside = (spectra.frequency > 30.0) & (spectra.frequency < 800.0)
+    np.testing.assert_allclose(found[:, inside].mean(axis=1), true[:, inside].mean(axis=1), rtol=0.15)
+
+
 def test_without_whitening_it_is_several_times_as_large(modulated):
     assert scatter(modulated, whiten=False)[0] > 3.0 * scatter(modulated)[0]
 
