@@ -363,7 +363,7 @@ def signals_held_back() -> Iterator[None]:
 def _silent_helpers() -> Iterator[None]:
     """Processes that start in it print nothing: a pool's helper prints tracebacks about a worker that was killed."""
     try:
-        kept = os.dup(2)
+        error_stream = os.dup(2)
     except OSError:
         yield
         return
@@ -372,8 +372,8 @@ def _silent_helpers() -> Iterator[None]:
             os.dup2(nowhere.fileno(), 2)
         yield
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+        os.dup2(error_stream, 2)
+        os.close(error_stream)
 
 
 def _on_its_own(function: Callable[[Unit], Result], unit: Unit) -> Result:
