@@ -78,7 +78,17 @@ def main(arguments: list[str] | None = None) -> None:
             made = [sys.executable, "-c", script]
             subprocess.run(made, check=True)
         for options in [asked.options] if asked.options else WAYS:
-            command = [sys.executable, "-m", "armperturb.cli", "identify", str(path), "--out", f"{name}/o", *options]
+            command = [
+                sys.executable,
+                "-m",
+                "armperturb.cli",
+                "identify",
+                str(path),
+                "--out",
+                f"{name}/o",
+                "--overwrite",
+                *options,
+            ]
             wall, processor, memory = cost(command)
             print(
                 f"identify {' '.join(options) or '(the trials choose)'}: {wall:.1f} s by the clock, {processor:.1f} s "
