@@ -5,6 +5,7 @@ import gc
 import os
 import pickle
 from collections import Counter
+from importlib.util import find_spec
 
 import pytest
 
@@ -56,6 +57,21 @@ def once(tmp_path_factory):
         return pickle.loads(value.read_bytes())
 
     return get
+
+
+def _compiled(part):
+    from armperturb.study.results.compiling import compile_fits, compile_recording
+
+    return (lambda _: compile_recording("mujoco")) if part == "recording" else (lambda _: compile_fits())
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compiled(once):
+    """In a fresh checkout each of two processes compiles half of what both need, where each would compile it all."""
+    number = os.environ.get("PYTEST_XDIST_WORKER", "").removeprefix("gw")
+    if number and find_spec("numba"):
+        for part in sorted(("recording", "fits"), reverse=int(number) % 2 == 0):
+            once(f"compiled {part}", _compiled(part))
 
 
 @pytest.fixture

@@ -25,11 +25,11 @@ def rotations(n_trials, seed, seconds=30.0, top=12.0):
     """Smooth rotations of both joints that begin and end at rest, and their velocities, (trial, time, joint)."""
     rng = np.random.default_rng(seed)
     time = np.arange(round(10 * seconds * RATE)) / (10 * RATE)  # finely, so that velocities are right
-    f = np.arange(2, round(top * seconds))[:, None, None] / seconds
-    phase = rng.uniform(0, 2 * np.pi, (len(f), n_trials, 2))
-    angle = np.zeros((n_trials, len(time), 2))
-    for line in range(len(f)):
-        angle += np.cos(2 * np.pi * f[line] * time[None, :, None] + phase[line][:, None]) / (1.0 + f[line] ** 1.5)
+    lines = np.arange(2, round(top * seconds))
+    phase = rng.uniform(0, 2 * np.pi, (len(lines), n_trials, 2))
+    spectrum = np.zeros((n_trials, len(time) // 2 + 1, 2), dtype=complex)
+    spectrum[:, lines] = np.moveaxis(np.exp(1j * phase), 0, 1) / (1.0 + (lines[:, None] / seconds) ** 1.5)
+    angle = np.fft.irfft(spectrum, len(time), axis=1)
     fade = np.minimum(1.0, np.minimum(time, time[-1] - time))[None, :, None]
     angle *= 0.08 * fade / angle.std()
     velocity = np.gradient(angle, 0.1 / RATE, axis=1)
