@@ -27,6 +27,8 @@ class Calibrate(Command):
     """Sets of multisines and noise that the search sees; what a person fits of a single one is partly its chance."""
     iterations: int = 20
     """Largest number of steps of the search."""
+    engine: Literal["mujoco", "compiled"] = "compiled"
+    """What simulates the candidates: the compiled arm, or MuJoCo, which takes longer."""
     overwrite: bool = False
     """Replace an existing file."""
 
@@ -53,6 +55,7 @@ class Calibrate(Command):
                         seed=self.seed,
                         n_multisines=self.multisines,
                         max_iterations=self.iterations,
+                        engine=self.engine,
                         progress=report_progress,
                     )
                 )

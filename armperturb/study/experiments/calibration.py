@@ -9,6 +9,7 @@ by trust regions (Gauss-Newton); all slopes of an iteration are one batch.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +25,7 @@ from armperturb.analysis.results import Description, Result, Table
 from armperturb.arrays import Array
 from armperturb.cohort import STABILITY_MARGIN
 from armperturb.controllers.remnant import HUMAN_NOISE, HumanNoise
-from armperturb.environment import Environment
+from armperturb.environment import ENGINES, Environment
 from armperturb.files import write_whole
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.study.experiments.candidates import Candidate, Unknown, unknowns
@@ -34,7 +35,7 @@ from armperturb.study.published.tables import MeanSD
 from armperturb.study.results.quantities import LIMITS, Cell, published_cells
 from armperturb.study.results.uses import CALIBRATED, HELD_OUT
 from armperturb.subject import TASKS
-from armperturb.validation import require_number
+from armperturb.validation import require_number, require_one_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -258,6 +259,7 @@ def calibrate(
     n_threads: int = 0,
     noise: HumanNoise | None = None,
     environment: Environment | None = None,
+    engine: str = "compiled",
     progress: Callable[[str], object] | None = None,
 ) -> Calibration:
     """Find the average person of a task.
@@ -271,24 +273,27 @@ def calibrate(
       n_threads: 0 takes all cores; no effect on the result.
       noise: of the people whom the cells are compared with; that of all people in the task if not given.
       environment: what the hand holds; the thesis's manipulator if not given.
+      engine: what simulates the candidates, see `run_experiment`.
       progress: called with a line per evaluation.
 
     Raises:
       TypeError: a number is none.
-      ValueError: task or law is unknown, or a number out of its range.
+      ValueError: task, law or engine is unknown, or a number out of its range.
       RuntimeError: what the literature makes likely cannot be simulated.
     """
     sought = unknowns(task, law)
     require_number("calibrate", "seed", seed, at_least=0)
     require_number("calibrate", "n_multisines", n_multisines, at_least=1, at_most=MOST)
     require_number("calibrate", "max_iterations", max_iterations, at_least=1, at_most=MOST)
+    require_one_of("calibrate", "engine", engine, ENGINES)
+    environment = environment or Environment()
+    simulate = partial(simulated_cells, noise=noise, environment=environment, engine=engine, n_threads=n_threads)
     search = _Search(
         task=task,
         unknowns=sought,
         seeds=[SEEN + 1000 * seed + number for number in range(n_multisines)],
-        environment=environment or Environment(),
-        n_threads=n_threads,
-        noise=noise,
+        environment=environment,
+        simulate=simulate,
         progress=progress or (lambda line: None),
     )
     start = np.array([np.log(u.start / u.typical) / np.log(u.factor) for u in sought])
@@ -301,7 +306,7 @@ def calibrate(
     values = search.values(solution.x)
     candidate = Candidate.of(task, values)
     unseen = [UNSEEN + 1000 * seed + number for number in range(N_UNSEEN)]
-    cells = simulated_cells([candidate], unseen, noise=noise, environment=environment, n_threads=n_threads)[0]
+    cells = simulate([candidate], unseen)[0]
     if cells is None:
         raise RuntimeError(f"calibrate: the average person in {task} leaves the workspace on multisines not seen")
     return Calibration(
@@ -317,8 +322,7 @@ class _Search:
     unknowns: tuple[Unknown, ...]
     seeds: Sequence[int]
     environment: Environment
-    n_threads: int
-    noise: HumanNoise | None
+    simulate: Callable[[Sequence[Candidate], Sequence[int]], list[dict[Cell, float] | None]]
     progress: Callable[[str], object]
 
     def values(self, point: Array) -> dict[str, float]:
@@ -337,9 +341,7 @@ class _Search:
     def residuals(self, points: Sequence[Array]) -> list[Array | None]:
         """Deviations of cells, unknowns and poles, in standard deviations; None where nothing can be simulated."""
         candidates = [Candidate.of(self.task, self.values(point)) for point in points]
-        answers = simulated_cells(
-            candidates, self.seeds, noise=self.noise, environment=self.environment, n_threads=self.n_threads
-        )
+        answers = self.simulate(candidates, self.seeds)
         wanted = _cells(self.task, CALIBRATED)
         residuals: list[Array | None] = []
         for candidate, cells, point in zip(candidates, answers, points, strict=True):

@@ -253,6 +253,8 @@ def test_numbers_out_of_range_are_refused():
         calibrate("RT", max_iterations=10**30)
     with pytest.raises(ValueError, match="seed = -1; expected"):
         calibrate("RT", seed=-1)
+    with pytest.raises(ValueError, match="engine = 'bullet'; expected one of mujoco, compiled"):
+        calibrate("RT", engine="bullet")
 
 
 def test_shipped_person_is_what_was_calibrated():
