@@ -66,7 +66,7 @@ def _compiled(part):
 
 
 @pytest.fixture(scope="session", autouse=True)
-def compiled(once):
+def compiled_in_turns(once):
     """In a fresh checkout each of two processes compiles half of what both need, where each would compile it all."""
     number = os.environ.get("PYTEST_XDIST_WORKER", "").removeprefix("gw")
     if number and find_spec("numba"):

@@ -183,10 +183,9 @@ class Problem:
         self._averaged = disturbances
         self._coarse = tuple(each.coarser(COARSE_STEP) for each in disturbances)
 
-    @property
-    def can_be_coarse(self) -> bool:
-        """Whether coarse derivatives take less time than others."""
-        return self._coarse != self._averaged
+    def can_be_coarse(self, state: State) -> bool:
+        """Whether coarse derivatives take less time than others, and their step is short enough for the arms."""
+        return self._coarse != self._averaged and bool(np.isfinite(self.predict([state], coarse=True)).all())
 
     def _disturbed(self, draws: NoiseDraws) -> Iterator[tuple[Disturbances, Disturbances]]:
         """The disturbances plus and minus each draw of the noise."""

@@ -124,8 +124,7 @@ class Search:
             self._approach()
             self._enter("nearing", self._at.draws)
         if self._at.stage == "nearing":
-            if self._problem.can_be_coarse:
-                self._finish()
+            self._finish()
             self._enter("final", self._at.draws)
         message, slopes = self._finish()
         return self._at, message, slopes
@@ -173,6 +172,8 @@ class Search:
         """One of the last two stages; returns how it ended, and with which derivatives."""
         problem, is_coarse = self._problem, self._at.stage == "nearing"
         for _ in range(MAX_REFERENCES):
+            if is_coarse and not problem.can_be_coarse(self._at.reference):
+                return "", []
             predicted = problem.predict([self._at.reference])[0]
             problem.weigh(self._at.reference, problem.residual(predicted))
             slopes = problem.slopes(self._at.reference, coarse=is_coarse)

@@ -449,6 +449,20 @@ def test_slopes_are_taken_on_this_side_of_a_bound(at_truth):
 
 
 @pytest.mark.slow(reason="simulates eight trials")
+def test_derivatives_are_not_coarse_where_their_step_is_too_long_for_the_arm(noisy):
+    model = Model(fixed={**FEW.fixed, "k_h": 300_000.0})  # whose grip swings too fast
+    for used, is_slow in ((FEW, True), (model, False)):
+        problem = Problem(free_parameters(noisy, used), noisy, ARMS)
+        effects, spread = np.zeros(len(problem.kind_of)), np.full(len(problem.kinds), 0.08)
+        state = State(np.log([TRUE[name] for name in problem.parameters.names]), effects, spread)
+        assert problem.can_be_coarse(state) == is_slow
+        assert np.isfinite(problem.predict([state])).all()
+        problem.weigh(state, problem.residual(problem.predict([state])[0]))
+        pairs = zip(problem.slopes(state, coarse=True), problem.slopes(state), strict=True)
+        assert all(np.array_equal(coarse, fine) for coarse, fine in pairs) == (not is_slow)
+
+
+@pytest.mark.slow(reason="simulates eight trials")
 def test_draws_are_strong_enough_for_what_a_fit_takes_of_them(noisy, at_truth, monkeypatch):
     def strength(problem, state):
         residual = problem.residual(problem.predict([state])[0])
