@@ -185,15 +185,15 @@ class Problem:
 
         Derivatives are those of the mean response in the presence of as many other draws.
         """
-        own, others = (
+        predicted, derived = (
             tuple(disturbances for pair in self._disturbed(draws, *source) for disturbances in pair)
             for source in ((), (OF_DERIVATIVES,))
         )
-        self._average_over(own, others)
+        self._average_over(predicted, derived)
 
-    def _average_over(self, own: tuple[Disturbances, ...], others: tuple[Disturbances, ...]) -> None:
-        self._averaged, self._derived = own, others
-        self._coarse = tuple(each.coarser(COARSE_STEP) for each in others)
+    def _average_over(self, predicted: tuple[Disturbances, ...], derived: tuple[Disturbances, ...]) -> None:
+        self._averaged, self._derived = predicted, derived
+        self._coarse = tuple(each.coarser(COARSE_STEP) for each in derived)
 
     @property
     def can_be_coarse(self) -> bool:
