@@ -24,6 +24,13 @@ WEAKER = 0.7
 """Factor on the strength of such draws [-]."""
 
 
+LEAST_AGREED = 0.25
+"""Least share of the information that counts, see `agreed_information` [-]: errors are twice as large."""
+
+TINY = 1e-12
+"""Least eigenvalue of a scaled information matrix, over the largest [-]."""
+
+
 class Deviations(NamedTuple):
     """White deviations of simulated trials from the mean response, of each trial (draw, number).
 
@@ -82,7 +89,7 @@ def predict_with_stable_noise(problem: Problem, state: State, draws: NoiseDraws)
     """
     problem.predict_with(draws)
     for _ in range(MOST_WEAKENED):
-        if np.isfinite(problem.predict([state])).all():
+        if problem.is_stable(state):
             break
         draws = draws._replace(strengths=tuple(WEAKER * strength for strength in draws.strengths))
         problem.predict_with(draws)
@@ -114,8 +121,36 @@ def simulate_deviations(problem: Problem, state: State, draws: NoiseDraws, n_ave
     return Deviations(odd, [scale * (part - part.mean(axis=0)) for part in even])
 
 
+def agreed_information(problem: Problem, state: State, slopes: Sequence[Array], others: Sequence[Array]) -> Array:
+    """Information upon which derivatives of two sets of draws agree, (unknown, unknown).
+
+    What a few draws leave in derivatives passes for information where these are squared, and not where they are
+    multiplied by those of other draws. In directions in which the products tell too little to be trusted, a share
+    `LEAST_AGREED` of the squares counts.
+
+    Args:
+      problem: what was fitted.
+      state: where the fit is.
+      slopes: from `Problem.slopes`, over some draws.
+      others: over other draws; the same ones count as they are.
+    """
+    known = problem.emg_normal(state).matrix + np.diag(problem.prior(state))
+    pairs = list(zip(slopes, others, strict=True))
+    squares = known + 0.5 * problem.gathered(state, [a @ a.T + b @ b.T for a, b in pairs])
+    products = known + 0.5 * problem.gathered(state, [a @ b.T + b @ a.T for a, b in pairs])
+    scale = np.sqrt(np.diag(squares))
+    power, directions = np.linalg.eigh(squares / np.outer(scale, scale))
+    root = directions * np.sqrt(np.maximum(power, TINY * power[-1]))
+    whole = np.linalg.solve(root, np.linalg.solve(root, products / np.outer(scale, scale)).T)
+    share, directions = np.linalg.eigh(0.5 * (whole + whole.T))
+    half = scale[:, None] * (root @ directions) * np.sqrt(np.clip(share, LEAST_AGREED, 1.0))
+    return np.asarray(half @ half.T)
+
+
 def score_variance(problem: Problem, state: State, slopes: Sequence[Array], deviations: Deviations) -> Array:
     """Variance of `Normal.slope` over other noise of the person and of the EMG, (unknown, unknown).
+
+    It is larger by what is uncertain of the spectra of both, as each is estimated from the trials that it weighs.
 
     Args:
       problem: what was fitted.
@@ -124,10 +159,12 @@ def score_variance(problem: Problem, state: State, slopes: Sequence[Array], devi
       deviations: from `simulate_deviations`.
     """
     parts = []
-    for columns, odd, even in zip(slopes, *deviations, strict=True):
-        scores = np.concatenate([odd, even]) @ columns.T
+    sure = [noise.sure for trials, noise in zip(problem.sets, problem.noises, strict=True) for _ in trials.onset]
+    for columns, odd, even, of_trial in zip(slopes, *deviations, sure, strict=True):
+        scores = (np.concatenate([odd, even]) / of_trial) @ columns.T
         parts.append(scores.T @ scores / len(odd))
-    return problem.gathered(state, parts) + problem.emg_normal(state).matrix + np.diag(problem.prior(state))
+    of_emg = problem.emg_normal(state, as_variance=True).matrix
+    return problem.gathered(state, parts) + of_emg + np.diag(problem.prior(state))
 
 
 def lack_of_fit(

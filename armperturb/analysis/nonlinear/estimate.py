@@ -14,7 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from armperturb.analysis.nonlinear.checkpoint import digest_of, load_position, save_position
-from armperturb.analysis.nonlinear.draws import Deviations, lack_of_fit, score_variance, simulate_deviations
+from armperturb.analysis.nonlinear.draws import (
+    Deviations,
+    agreed_information,
+    lack_of_fit,
+    score_variance,
+    simulate_deviations,
+)
 from armperturb.analysis.nonlinear.model import EFFECTS, Model, Parameters, value_at, value_per_coordinate
 from armperturb.analysis.nonlinear.problem import NoiseDraws, Problem
 from armperturb.analysis.nonlinear.result import NonlinearEstimate, remarks_on
@@ -59,7 +65,7 @@ def fit(
       initial: parameter to the value that it starts with, instead of that from the linear arms.
       n_pairs: draws of the noise, pairs of opposite sign, in whose presence trials are predicted; 0 leaves noise out.
       n_pairs_of_errors: draws from which the errors are estimated.
-      max_steps: most steps of each of the first two stages of the search.
+      max_steps: most steps of each of the first three stages of the search.
       seed: of the draws.
       checkpoint: file in which the search is saved after each step; a search that was stopped there goes on.
       progress: called with a line after each step.
@@ -164,7 +170,8 @@ def _estimate(
             "are not valid"
         )
     predicted = problem.predict([state])[0]
-    covariance = inverse(problem.normal(state, predicted, slopes).matrix)
+    others = problem.slopes(state, of_predictions=True) if problem.is_noisy else slopes
+    covariance = inverse(agreed_information(problem, state, slopes, others))
     roots = tuple(noise.root for noise in problem.noises)
     deviations, strengths = Deviations([], []), tuple(np.ones(len(root)) for root in roots)
     if position.draws is not None:

@@ -24,6 +24,9 @@ HIGHEST = 50.0
 """Highest frequency of draws [Hz]. From `TOP` on they have the spectrum of the torque there, as noise of instruments
 hides the person's in the records. It hardly moves the handle, but the joints, and a muscle that they move is softer."""
 
+LEAST_SURE = 0.5
+"""Least value of `Noise.sure` [-]."""
+
 MOST_CHANGE = 3.0
 """Largest factor by which `matched_strength` departs from 1 [-]."""
 
@@ -33,6 +36,8 @@ class Noise:
 
     Attributes:
       root: of the spectrum of its hand force, as last estimated, (frequency, axis, axis).
+      sure: by how much each number of `white` tells less, as the noise is estimated from the same trials (see
+        `fit.whittle`) [-], (number,).
 
     Args:
       arm: linear, near the person in this condition.
@@ -58,6 +63,8 @@ class Noise:
         self._smoother = Smoother(len(self._frequency), n_trials)
         self.root = np.zeros((len(self._frequency), 2, 2), dtype=complex)
         self._white = self._to_force
+        averaged = self._smoother.count * n_trials
+        self.sure = np.tile(np.maximum(1.0 - 2.0 / averaged, LEAST_SURE), 4)
 
     def _spectrum(self, mixing: ComplexArray, residual: Array) -> ComplexArray:
         """DFT of residuals (trial, time, axis), mixed by (axis, axis, frequency), (trial, axis, frequency)."""

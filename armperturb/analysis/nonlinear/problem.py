@@ -3,7 +3,9 @@
 The prediction is the mean response to the disturbance in the presence of the person's noise. A muscle that yields is
 softer when noise moves it too, so the response without noise differs from that mean, and estimates from it are biased;
 the bias grows with the noise. The mean is taken over draws of the noise (`draws`), in pairs of opposite sign, so that
-their linear responses cancel.
+their linear responses cancel. What a few draws leave in such a mean depends on the parameters, and were its derivatives
+averaged over the same draws, a fit would make that remainder small: so derivatives have draws of their own (Laffont,
+Ossard & Vuong 1995, Econometrica 63, on the bias of simulated least squares).
 
 Trials of a person differ: each has its own factor on stiffness, damping and feedback, log-normal with a spread that is
 estimated too. Its logarithm is a random effect, an unknown with a prior.
@@ -39,6 +41,9 @@ search a step or two, and take half the time."""
 
 COORDINATE_STEP = 1e-4
 """Change of a coordinate in finite differences [-]."""
+
+OF_DERIVATIVES = 1
+"""What the seed of draws is extended by for those that derivatives are averaged over."""
 
 PAIRS_OF_SLOPES = 1
 """Pairs of draws over which derivatives are averaged during the search: they need less accuracy than residuals."""
@@ -168,7 +173,7 @@ class Problem:
             ]
         )
         self._quiet = Disturbances(self.perturbation, self._rate, self._threads)
-        self._average_over(self._quiet)
+        self._average_over((self._quiet,), (self._quiet,))
 
     @property
     def is_noisy(self) -> bool:
@@ -176,20 +181,31 @@ class Problem:
         return len(self._averaged) > 1
 
     def predict_with(self, draws: NoiseDraws) -> None:
-        """From now on predict the mean response in the presence of these draws of the noise."""
-        self._average_over(*(disturbances for pair in self._disturbed(draws) for disturbances in pair))
+        """From now on predict the mean response in the presence of these draws of the noise.
 
-    def _average_over(self, *disturbances: Disturbances) -> None:
-        self._averaged = disturbances
-        self._coarse = tuple(each.coarser(COARSE_STEP) for each in disturbances)
+        Derivatives are those of the mean response in the presence of as many other draws.
+        """
+        predicted, derived = (
+            tuple(disturbances for pair in self._disturbed(draws, *source) for disturbances in pair)
+            for source in ((), (OF_DERIVATIVES,))
+        )
+        self._average_over(predicted, derived)
+
+    def _average_over(self, predicted: tuple[Disturbances, ...], derived: tuple[Disturbances, ...]) -> None:
+        self._averaged, self._derived = predicted, derived
+        self._coarse = tuple(each.coarser(COARSE_STEP) for each in derived)
 
     def can_be_coarse(self, state: State) -> bool:
         """Whether coarse derivatives take less time than others, and their step is short enough for the arms."""
-        return self._coarse != self._averaged and bool(np.isfinite(self.predict([state], coarse=True)).all())
+        return self._coarse != self._derived and bool(np.isfinite(self.predict([state], self._coarse)).all())
 
-    def _disturbed(self, draws: NoiseDraws) -> Iterator[tuple[Disturbances, Disturbances]]:
-        """The disturbances plus and minus each draw of the noise."""
-        rng = np.random.default_rng(draws.seed)
+    def is_stable(self, state: State) -> bool:
+        """Whether no arm diverges in the presence of any draw."""
+        return all(bool(np.isfinite(self.predict([state], draws)).all()) for draws in (self._averaged, self._derived))
+
+    def _disturbed(self, draws: NoiseDraws, *source: int) -> Iterator[tuple[Disturbances, Disturbances]]:
+        """The disturbances plus and minus each draw of the noise; other draws of the same noise for another source."""
+        rng = np.random.default_rng([draws.seed, *source])
         for _ in range(draws.n_pairs):
             standard = rng.standard_normal(self.perturbation.shape)
             torque = np.zeros_like(self.perturbation)
@@ -231,9 +247,9 @@ class Problem:
         place = place.reshape(len(states), self.n_trials)
         return place, (each.responses(lanes[first], trials, self._ends[trials]) for each in disturbed)
 
-    def predict(self, states: Sequence[State], *, n_draws: int | None = None, coarse: bool = False) -> Array:
-        """Displacement [m], (state, trial, time, axis)."""
-        averaged = (self._coarse if coarse else self._averaged)[:n_draws]
+    def predict(self, states: Sequence[State], averaged: Sequence[Disturbances] = ()) -> Array:
+        """Displacement [m], (state, trial, time, axis): the mean over some disturbances, by default all of them."""
+        averaged = averaged or self._averaged
         place, responses = self._responses(states, averaged)
         total = next(responses)
         for response in responses:
@@ -302,8 +318,17 @@ class Problem:
         of_movement = float(np.sum(self.costs(state, predicted) + self.log_determinants(state)))
         return of_movement + self._emg.objective(self._reflexes(state))
 
-    def slopes(self, state: State, *, n_draws: int | None = None, coarse: bool = False) -> list[Array]:
-        """Derivatives of white predictions: of each trial (parameters and own effects, number)."""
+    def slopes(
+        self, state: State, *, n_draws: int | None = None, coarse: bool = False, of_predictions: bool = False
+    ) -> list[Array]:
+        """Derivatives of white predictions: of each trial (parameters and own effects, number).
+
+        Args:
+          state: where they are taken.
+          n_draws: how many draws they are averaged over; by default all.
+          coarse: whether simulations take longer steps.
+          of_predictions: whether draws are those that predictions are averaged over, instead of draws of their own.
+        """
         n_effects = max(places.stop - places.start for places in self.effects_of)
         # Beyond a bound there may be no such person.
         is_inside = state.point + COORDINATE_STEP <= self.parameters.upper
@@ -315,7 +340,8 @@ class Problem:
                 if places.start + effect < places.stop:
                     effects[places.start + effect] += COORDINATE_STEP
             states.append(state._replace(effects=effects))
-        predicted = self.predict([state, *states], n_draws=n_draws, coarse=coarse)
+        averaged = self._averaged if of_predictions else self._coarse if coarse else self._derived
+        predicted = self.predict([state, *states], averaged[:n_draws])
         if coarse and not np.isfinite(predicted).all():  # the step is too long for this arm
             return self.slopes(state, n_draws=n_draws)
         changes = (predicted[1:] - predicted[0]) / steps[:, None, None, None]
@@ -372,8 +398,13 @@ class Problem:
         of_movement = self.gathered(state, [columns @ columns.T for columns in slopes])
         return of_movement + of_emg.matrix + np.diag(self.prior(state))
 
-    def emg_normal(self, state: State) -> Normal:
-        """Gauss-Newton equations of the EMG alone; zero without any."""
+    def emg_normal(self, state: State, *, as_variance: bool = False) -> Normal:
+        """Gauss-Newton equations of the EMG alone; zero without any.
+
+        Args:
+          state: where they are.
+          as_variance: whether the matrix is the variance of the slope, as the noise is estimated.
+        """
         n, at = len(state.point), self._reflexes(state)
         changes = np.zeros((n + len(state.effects), *at.shape))
         if not self._emg.is_empty:
@@ -387,7 +418,7 @@ class Problem:
                 factor = {"kv": VELOCITY, "kp": POSITION}.get(self.kinds[kind][1])
                 if factor is not None:
                     changes[n + place, trial, factor] = at[trial, factor]
-        return Normal(*self._emg.normal(at, changes))
+        return Normal(*self._emg.normal(at, changes, as_variance=as_variance))
 
     def _reflexes(self, state: State) -> Array:
         """`reflex_values` of all trials, (trial, value); of none without EMG."""

@@ -1,16 +1,22 @@
-"""The search for the maximum of the likelihood, in four stages, each of which goes on where the one before ended.
+"""The search for the maximum of the likelihood, in five stages, each of which goes on where the one before ended.
 
-The first two take Levenberg-Marquardt steps in the coordinates of the parameters, first without noise in the
-prediction, then in its presence (`draws`); the noise spectrum is re-estimated before each step (iteratively
-reweighted). Steps after which an arm is unstable, or the likelihood lower, are shortened. In the other two stages,
-Gauss-Newton steps hold spectrum and derivatives, the latter averaged over all draws: derivatives from few draws would
-add noise of their own to the estimate. Their steps estimate the spread of the trials as well. Only the last stage,
-which decides where the search ends, takes derivatives at the step of the predictions; earlier ones are coarse.
+The first three take Levenberg-Marquardt steps in the coordinates of the parameters, first without noise in the
+prediction, then in its presence (`draws`), then in the presence of noise that is drawn anew: what a fit without noise
+leaves, and how strongly its arm answers noise, may be far from the person's. The noise spectrum is re-estimated before
+each step (iteratively reweighted). Steps after which an arm is unstable, or the likelihood lower, are shortened. In the
+last two stages, Gauss-Newton steps hold spectrum and derivatives, the latter averaged over all draws: derivatives from
+few draws would add noise of their own to the estimate. Their steps estimate the spread of the trials as well. Only the
+last stage, which decides where the search ends, takes derivatives at the step of the predictions; earlier ones are
+coarse.
+
+The last two stages look for where the derivatives and the residual are orthogonal. That is the maximum of the
+likelihood but for what the draws leave in the predictions, which the likelihood would make small (`problem`). So a step
+of theirs is taken not if it raises the likelihood, but if less is then left to be gained by another step.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy import linalg
@@ -20,10 +26,10 @@ from armperturb.analysis.nonlinear.problem import NoiseDraws, Normal, Problem, S
 from armperturb.arrays import Array
 
 MAX_STEPS = 40
-"""Most steps of each of the first two stages."""
+"""Most steps of each of the first three stages."""
 
 SEARCH_STEP, STALLED_STEP, FINAL_STEP = 1.0, 0.3, 0.05
-"""Convergence thresholds: largest parameter change / standard error, for the first two stages, for a final stage that
+"""Convergence thresholds: largest parameter change / standard error, for the first three stages, for a final stage that
 cannot lower the cost by more than `NO_GAIN` and the stage before it, and for the final stage [-]."""
 
 NO_GAIN = 0.05
@@ -59,7 +65,7 @@ CONVERGED = "converged"
 """How a search ends that has found a maximum."""
 
 
-Stage = Literal["noise-free", "noisy", "nearing", "final"]
+Stage = Literal["noise-free", "noisy", "drawn-anew", "nearing", "final"]
 """Part of the search."""
 
 
@@ -84,6 +90,20 @@ class Position:
     draws: NoiseDraws | None = None
 
 
+class _Ahead(NamedTuple):
+    """What a linearised problem says of the way to its maximum.
+
+    Attributes:
+      maximum: where it is.
+      step: largest change of a parameter on the way / standard error [-].
+      gain: by how much the cost is lower there [-].
+    """
+
+    maximum: State
+    step: float
+    gain: float
+
+
 class Search:
     """One search."""
 
@@ -105,7 +125,7 @@ class Search:
           begin: position to start from, or one that an earlier search had saved.
           n_pairs: draws of the noise, pairs of opposite sign, in whose presence trials are predicted; 0 for none.
           seed: of the draws.
-          max_steps: most steps of each of the first two stages.
+          max_steps: most steps of each of the first three stages.
           save: called with the position after each step.
           progress: called with a line after each step.
         """
@@ -121,6 +141,9 @@ class Search:
             self._approach()
             self._enter("noisy" if self._n_pairs else "nearing", self._drawn() if self._n_pairs else None)
         if self._at.stage == "noisy":
+            self._approach()
+            self._enter("drawn-anew", self._drawn())
+        if self._at.stage == "drawn-anew":
             self._approach()
             self._enter("nearing", self._at.draws)
         if self._at.stage == "nearing":
@@ -194,10 +217,9 @@ class Search:
         """Gauss-Newton steps with one spectrum and one set of derivatives; returns how they ended, "" if far away."""
         problem = self._problem
         short = STALLED_STEP if self._at.stage == "nearing" else FINAL_STEP
+        ahead = self._linearised_maximum(self._at.state, problem.normal(self._at.state, predicted, slopes))
         while True:
-            state = self._at.state
-            maximum, step = self._linearised_maximum(problem.normal(state, predicted, slopes))
-            before = problem.cost(state._replace(spread=maximum.spread), predicted)
+            state, (maximum, step, gain) = self._at.state, ahead
             for part in SHORTER:
                 moved = State(
                     state.point + part * (maximum.point - state.point),
@@ -205,25 +227,26 @@ class Search:
                     maximum.spread,
                 )
                 answer = problem.predict([moved])[0]
-                cost = problem.cost(moved, answer)
-                if cost < before:
-                    break
-            else:  # no part of the step lowers the cost
+                if np.isfinite(answer).all():
+                    ahead = self._linearised_maximum(moved, problem.normal(moved, answer, slopes))
+                    if ahead.gain < gain:
+                        break
+            else:  # no part of the step leaves less to be gained
                 if self._distance():
                     return ""
-                return CONVERGED if step < STALLED_STEP else "no step raises the likelihood"
-            self._count(cost, part * step)
+                return CONVERGED if step < STALLED_STEP else "no step leads nearer to the maximum"
+            self._count(problem.cost(moved, answer), part * step)
             self._at, predicted = replace(self._at, state=moved), answer
             self._keep()
-            if step < short or (step < STALLED_STEP and before - cost < NO_GAIN):
+            if step < short or (step < STALLED_STEP and gain - ahead.gain < NO_GAIN):
                 return CONVERGED
             if part < 1.0 or self._distance() > FAR:
                 return ""
 
-    def _linearised_maximum(self, normal: Normal) -> tuple[State, float]:
-        """Maximum of the linearised problem, spread included, and the largest step there in standard errors."""
+    def _linearised_maximum(self, state: State, normal: Normal) -> "_Ahead":
+        """Maximum of the problem linearised at a state, spread included."""
         problem, parameters = self._problem, self._problem.parameters
-        state, n = self._at.state, len(self._at.state.point)
+        n = len(state.point)
         old = np.concatenate([np.zeros(n), 1.0 / state.spread[problem.kind_of] ** 2])
         matrix, slope = normal.matrix - np.diag(old), normal.slope.copy()
         slope[n:] += old[n:] * state.effects
@@ -233,10 +256,9 @@ class Search:
             prior = np.concatenate([np.zeros(n), 1.0 / spread[problem.kind_of] ** 2])
             covariance = np.zeros_like(matrix)
             covariance[np.ix_(free, free)] = inverse((matrix + np.diag(prior))[np.ix_(free, free)])
-            step = np.zeros(len(slope))
-            step[free] = (
-                covariance[np.ix_(free, free)] @ (slope - prior * np.concatenate([np.zeros(n), state.effects]))[free]
-            )
+            score = np.where(free, slope - prior * np.concatenate([np.zeros(n), state.effects]), 0.0)
+            step = covariance @ score
+            gain = float(score @ step)
             step[:n] = np.clip(step[:n], -LONGEST, LONGEST)
             point = np.clip(state.point + step[:n], parameters.lower, parameters.upper)
             # The others make up for a parameter that stops at its bound.
@@ -251,7 +273,7 @@ class Search:
                 break
         error = np.sqrt(np.maximum(np.diag(covariance)[:n], np.finfo(float).tiny))
         largest = float(np.max(np.abs(step[:n]) / error, initial=0.0, where=free[:n]))
-        return State(point, effects, spread), largest
+        return _Ahead(State(point, effects, spread), largest, gain)
 
     def _spread(self, square: Array) -> Array:
         """Spread of the effects with these expected squares, (kind,)."""

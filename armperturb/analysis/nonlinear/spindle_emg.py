@@ -179,6 +179,11 @@ class SpindleEmg(GainsOfJoints):
         """Minus twice the log-likelihood, but for a constant, with the best gains."""
         return self.objective(self._fitted(reflexes)[0])
 
+    @property
+    def more_variance(self) -> float:
+        """Variance of the slope over the information, as the noise is estimated from the same trials [-]."""
+        return float(np.mean(self.sure**-2.0))
+
     def normal_at(self, reflexes: Array, changes: Array) -> tuple[Array, Array]:
         """Information about unknowns with unknown gains, and minus half the cost's gradient.
 
@@ -233,11 +238,11 @@ class EmgOfTrials:
         """Minus twice the log-likelihood, but for a constant."""
         return sum(emg.objective_at(reflexes[rows]) for rows, emg in self._parts)
 
-    def normal(self, reflexes: Array, changes: Array) -> tuple[Array, Array]:
-        """As `SpindleEmg.normal_at`, of all trials together."""
+    def normal(self, reflexes: Array, changes: Array, *, as_variance: bool = False) -> tuple[Array, Array]:
+        """As `SpindleEmg.normal_at`, of all trials together; if asked for, the variance of the slope as information."""
         matrix, slope = np.zeros((len(changes), len(changes))), np.zeros(len(changes))
         for rows, emg in self._parts:
             of_part = emg.normal_at(reflexes[rows], changes[:, rows])
-            matrix += of_part[0]
+            matrix += of_part[0] * (emg.more_variance if as_variance else 1.0)
             slope += of_part[1]
         return matrix, slope

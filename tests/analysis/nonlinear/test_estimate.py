@@ -8,11 +8,16 @@ import numpy as np
 import pytest
 
 from armperturb.analysis.nonlinear.choice import Choice, Gain, Judged, compare_laws, left_out_likelihood
-from armperturb.analysis.nonlinear.draws import lack_of_fit, predict_with_noise, simulate_deviations
+from armperturb.analysis.nonlinear.draws import (
+    agreed_information,
+    lack_of_fit,
+    predict_with_noise,
+    simulate_deviations,
+)
 from armperturb.analysis.nonlinear.estimate import fit, free_parameters, nearest_arms
 from armperturb.analysis.nonlinear.model import Model, true_values
 from armperturb.analysis.nonlinear.prediction import predict_pulses, predict_pulses_linearly
-from armperturb.analysis.nonlinear.problem import NoiseDraws, Problem, State
+from armperturb.analysis.nonlinear.problem import NoiseDraws, Normal, Problem, State
 from armperturb.analysis.nonlinear.result import remarks_on
 from armperturb.analysis.nonlinear.start import best_start
 from armperturb.analysis.nonlinear.trials import fitted_conditions
@@ -442,7 +447,7 @@ def test_slopes_are_taken_on_this_side_of_a_bound(at_truth):
     at_bound.parameters.upper = state.point  # nothing may grow
     asked = []
     predict = at_bound.predict
-    at_bound.predict = lambda states, **options: asked.extend(states) or predict(states, **options)
+    at_bound.predict = lambda states, *draws: asked.extend(states) or predict(states, *draws)
     for found, expected in zip(at_bound.slopes(state), slopes, strict=True):
         np.testing.assert_allclose(found, expected, atol=0.01 * np.abs(expected).max())
     assert all((each.point <= state.point).all() for each in asked)
@@ -477,6 +482,53 @@ def test_draws_are_strong_enough_for_what_a_fit_takes_of_them(noisy, at_truth, m
     other.weigh(state, other.residual(other.predict([state])[0]))
     monkeypatch.setattr(other, "unexplained", lambda state, slopes, records: records)
     assert fitted > 1.001 * strength(other, state)
+
+
+@pytest.mark.slow(reason="simulates eight trials in the presence of many draws")
+def test_what_draws_leave_in_predictions_does_not_move_a_fit(at_truth):
+    problem, state, _ = at_truth
+    roots = tuple(noise.root for noise in problem.noises)
+    draws = NoiseDraws(roots, tuple(np.ones(len(root)) for root in roots), 16, 1000)
+    mean = np.mean([even for _, even in problem.odd_and_even(state, draws)], axis=0)
+    moves: dict[bool, list[np.ndarray]] = {True: [], False: []}
+    for seed in range(6):
+        problem.predict_with(draws._replace(n_pairs=1, seed=seed))
+        left = problem.white(problem.predict([state])[0] - mean)
+        for of_predictions, moved in moves.items():
+            slopes = problem.slopes(state, of_predictions=of_predictions)
+            score = problem.gathered(state, [a @ b for a, b in zip(slopes, left, strict=True)])
+            information = agreed_information(problem, state, slopes, slopes)
+            moved.append((np.linalg.inv(information) @ score)[: len(state.point)])
+    # In standard errors of the mean over seeds: what a pair leaves is made smaller by a change of the parameters only
+    # where derivatives are those of the same pair.
+    own, others = (
+        np.abs(np.mean(moved, axis=0) / (np.std(moved, axis=0, ddof=1) / np.sqrt(len(moved))))
+        for moved in (moves[True], moves[False])
+    )
+    assert own.max() > 5.0
+    assert others.max() < 4.0
+
+
+def test_information_is_what_derivatives_of_two_sets_of_draws_agree_upon():
+    class Alone(Problem):
+        def __init__(self):
+            self.n_trials, self.effects_of, self.kind_of = 1, [slice(0, 0)], np.empty(0, dtype=int)
+
+        def prior(self, state):
+            return np.zeros(3)
+
+        def emg_normal(self, state):
+            return Normal(np.zeros((3, 3)), np.zeros(3))
+
+    rng, n = np.random.default_rng(0), 20_000
+    true = np.array([[1.0, 0.0, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 0.0]]) @ rng.standard_normal((3, n))
+    first, second = ([true + 0.5 * rng.standard_normal((3, n))] for _ in range(2))
+    state = State(np.zeros(3), np.empty(0), np.empty(0))
+    found = agreed_information(Alone(), state, first, second)
+    np.testing.assert_allclose(found[:2, :2], true[:2] @ true[:2].T, atol=0.03 * n)
+    # Of the last parameter nothing is known, of which draws still seem to tell 0.25 n.
+    assert found[2, 2] == pytest.approx(0.25 * 0.25 * n, rel=0.05)
+    np.testing.assert_allclose(agreed_information(Alone(), state, first, first), first[0] @ first[0].T, rtol=1e-8)
 
 
 @pytest.mark.slow(reason="simulates eight trials")

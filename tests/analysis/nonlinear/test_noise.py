@@ -122,3 +122,27 @@ def test_lack_of_fit_sees_a_response_that_is_left_and_no_other(noise, residual):
     assert 0.005 < stats.chi2.sf(right, dof) < 0.995
     assert stats.chi2.sf(wrong, dof) < 1e-6
     np.testing.assert_allclose(noise.lack_of_fit(both[0], push)[0], right)
+
+
+def test_estimates_vary_by_more_as_they_weigh_trials_by_the_noise_of_these():
+    n, n_trials, n_sets, n_signals = 500, 2, 1200, 8
+    rng = np.random.default_rng(3)
+    forces = rng.standard_normal((n_sets * n_trials + n_signals, n, 2))
+    moved = simulate_linear(RELAX, Environment(), forces, RATE).displacement
+    signals, sets = moved[:n_signals], moved[n_signals:].reshape(n_sets, n_trials, n, 2)
+    known = Noise(RELAX, Environment(), n, n_trials, RATE)
+    known.root = np.sqrt(float(np.sum(known._taper**2))) * np.broadcast_to(np.eye(2), known.root.shape)
+    known._white = np.sqrt(2.0) * known._to_force / known.root[0, 0, 0].real
+    found = Noise(RELAX, Environment(), n, n_trials, RATE)
+    squares = np.zeros(3)
+    for own, other in zip(sets, np.roll(sets, 1, axis=0), strict=True):
+        found.weigh(own)
+        columns = found.white(signals)
+        information = n_trials * np.sum(columns**2, axis=1)
+        # What the set itself gives, and what draws of noise of the spectrum that was found would give.
+        estimates = columns @ found.white(own).sum(axis=0) / information
+        drawn = known.white(other).sum(axis=0)
+        counted, not_counted = ((columns / sure) @ drawn / information for sure in (found.sure, 1.0))
+        squares += [np.sum(values**2) for values in (estimates, counted, not_counted)]
+    assert squares[0] == pytest.approx(squares[1], rel=0.04)
+    assert squares[0] > 1.05 * squares[2]
