@@ -18,8 +18,9 @@ from scipy import stats
 from armperturb.analysis.nonlinear.draws import predict_with_stable_noise
 from armperturb.analysis.nonlinear.estimate import N_PAIRS, fit, free_parameters, nearest_arms
 from armperturb.analysis.nonlinear.model import Law, Model, bounds, stem
+from armperturb.analysis.nonlinear.noise import NoiseDraws
 from armperturb.analysis.nonlinear.prediction import PulsePrediction, facts_of, predict_pulses
-from armperturb.analysis.nonlinear.problem import NoiseDraws, Problem, State
+from armperturb.analysis.nonlinear.problem import Problem, State
 from armperturb.analysis.nonlinear.result import NonlinearEstimate
 from armperturb.analysis.results import Description, Result
 from armperturb.analysis.trials import ConditionTrials

@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from armperturb.analysis.fit.whittle import LackOfFit
-from armperturb.analysis.nonlinear.problem import PAIRS_OF_SLOPES, NoiseDraws, Problem, State
+from armperturb.analysis.nonlinear.noise import OF_DERIVATIVES, OF_PREDICTIONS, NoiseDraws
+from armperturb.analysis.nonlinear.problem import PAIRS_OF_SLOPES, Problem, State
 from armperturb.arrays import Array
 
 PAIRS_OF_STRENGTH = 4
@@ -23,6 +24,17 @@ MOST_WEAKENED = 6
 WEAKER = 0.7
 """Factor on the strength of such draws [-]."""
 
+WILD = 8.0
+"""How many times as much as without noise the movement of a trial may depend on the unknowns [-]. Noise that an arm
+bears makes it twice as much; beyond that the arm runs away, by several times what any trial did, and its derivatives
+are up to 10^5 times as large."""
+
+FAR = 2.2
+"""How far noise may move an arm, over the largest movement that was recorded of a trial, until it is looked at more
+closely [-]."""
+
+MOST_ATTEMPTS = 20
+"""How often the noise of a trial is drawn anew in a search."""
 
 LEAST_AGREED = 0.25
 """Least share of the information that counts, see `agreed_information` [-]: errors are twice as large."""
@@ -80,26 +92,65 @@ def predict_with_noise(problem: Problem, state: State, residual: Array, n_pairs:
 
 
 def predict_with_stable_noise(problem: Problem, state: State, draws: NoiseDraws) -> NoiseDraws:
-    """Let a problem predict in the presence of draws that are weak enough for all arms, and return those.
+    """Let a problem predict in the presence of draws that all arms bear, and return those.
 
     Args:
       problem: predicts with the draws from now on.
-      state: at which arms must not diverge.
+      state: at which arms must bear them.
       draws: as strong as they are wanted.
     """
     problem.predict_with(draws)
+    if problem.reach(state) > FAR:
+        draws = borne(problem, state, draws)
+        problem.predict_with(draws)
     for _ in range(MOST_WEAKENED):
-        if problem.is_stable(state):
+        if np.isfinite(problem.reach(state)):
             break
         draws = draws._replace(strengths=tuple(WEAKER * strength for strength in draws.strengths))
         problem.predict_with(draws)
     return draws
 
 
+def run_away(alike: Sequence[Array]) -> bool:
+    """Whether derivatives of a trial, or its answer to a draw, are so much larger than others that an arm runs away."""
+    sizes = [np.linalg.norm(each) for each in alike]
+    return bool(np.max(sizes) > WILD * np.median(sizes))
+
+
+def borne(
+    problem: Problem, state: State, draws: NoiseDraws, sources: Sequence[int] = (OF_PREDICTIONS, OF_DERIVATIVES)
+) -> NoiseDraws:
+    """The draws, with the noise of a trial drawn anew where it makes the arm run away.
+
+    The trials that were recorded did not run away, so that noise is wanted given that they do not.
+
+    Args:
+      problem: what is fitted.
+      state: of the unknowns.
+      draws: as they come.
+      sources: of draws that are looked at.
+    """
+    attempts = draws.attempted(problem.n_trials).copy()
+    most = WILD * problem.sensitivity(state)
+    unchecked = [(source, pair) for source in sources for pair in range(draws.n_pairs)]
+    while unchecked:
+        draws = draws._replace(attempts=attempts.copy())
+        for source in sources:
+            for pair, disturbances in enumerate(problem.disturbed(draws, source)):
+                if (source, pair) in unchecked:
+                    is_wild = problem.sensitivity(state, disturbances) > most
+                    is_wild &= attempts[source, pair] < MOST_ATTEMPTS
+                    attempts[source, pair] += is_wild
+                    if not is_wild.any():
+                        unchecked.remove((source, pair))
+    return draws
+
+
 def simulate_deviations(problem: Problem, state: State, draws: NoiseDraws, n_averaged: int) -> Deviations:
     """Deviations from the mean response that other noise of the person would cause.
 
-    Draws with which an arm diverges are left out; all are if fewer than two remain.
+    Noise with which an arm runs away is drawn anew. Draws with which one still diverges are left out; all are if fewer
+    than two remain.
 
     Args:
       problem: what was fitted.
@@ -107,11 +158,11 @@ def simulate_deviations(problem: Problem, state: State, draws: NoiseDraws, n_ave
       draws: of the noise; other ones than predictions are averaged over.
       n_averaged: pairs over which predictions were averaged, which leaves some noise in them.
     """
-    halves = [
-        (problem.white(odd), problem.white(even))
-        for odd, even in problem.odd_and_even(state, draws)
-        if np.isfinite(odd).all() and np.isfinite(even).all()
-    ]
+    halves = _halves(problem, state, draws)
+    if len(halves) < draws.n_pairs or any(
+        run_away(of_trial) for of_trial in zip(*(odd for odd, _ in halves), strict=True)
+    ):
+        halves = _halves(problem, state, borne(problem, state, draws, (OF_PREDICTIONS,)))
     if len(halves) < 2:
         return Deviations([], [])
     odd = [np.array([half[trial] for half, _ in halves]) for trial in range(problem.n_trials)]
@@ -119,6 +170,15 @@ def simulate_deviations(problem: Problem, state: State, draws: NoiseDraws, n_ave
     # With the variance that such deviations have from a mean over other draws.
     scale = np.sqrt((1.0 + 1.0 / n_averaged) * len(halves) / (len(halves) - 1.0))
     return Deviations(odd, [scale * (part - part.mean(axis=0)) for part in even])
+
+
+def _halves(problem: Problem, state: State, draws: NoiseDraws) -> list[tuple[list[Array], list[Array]]]:
+    """White odd and even parts of each pair with which no arm diverges, of each trial (number,)."""
+    return [
+        (problem.white(odd), problem.white(even))
+        for odd, even in problem.odd_and_even(state, draws)
+        if np.isfinite(odd).all() and np.isfinite(even).all()
+    ]
 
 
 def agreed_information(problem: Problem, state: State, slopes: Sequence[Array], others: Sequence[Array]) -> Array:

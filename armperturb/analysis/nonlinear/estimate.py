@@ -18,11 +18,13 @@ from armperturb.analysis.nonlinear.draws import (
     Deviations,
     agreed_information,
     lack_of_fit,
+    run_away,
     score_variance,
     simulate_deviations,
 )
 from armperturb.analysis.nonlinear.model import EFFECTS, Model, Parameters, value_at, value_per_coordinate
-from armperturb.analysis.nonlinear.problem import NoiseDraws, Problem
+from armperturb.analysis.nonlinear.noise import NoiseDraws
+from armperturb.analysis.nonlinear.problem import Problem
 from armperturb.analysis.nonlinear.result import NonlinearEstimate, remarks_on
 from armperturb.analysis.nonlinear.search import CONVERGED, MAX_STEPS, Position, Search, inverse
 from armperturb.analysis.nonlinear.spindle_emg import EmgInFit, digests
@@ -182,6 +184,8 @@ def _estimate(
             covariance = covariance @ score_variance(problem, state, slopes, deviations) @ covariance
         else:
             message = "every noise draw makes the simulation diverge; confidence intervals are not valid"
+    if run_away(slopes) or run_away(others):
+        message = "in some trials the arm runs away under the person's noise; confidence intervals are not valid"
     tested = lack_of_fit(problem, state, predicted, slopes, deviations)
     covariance = covariance[:n, :n]
     error = np.sqrt(np.diag(covariance))

@@ -5,6 +5,9 @@ person. As in `fit.likelihood`, the spectrum of that force is smooth: it is aver
 frequencies. Records begin at rest and fade out.
 """
 
+from collections.abc import Iterator
+from typing import NamedTuple
+
 import numpy as np
 from scipy import fft
 
@@ -27,8 +30,44 @@ hides the person's in the records. It hardly moves the handle, but the joints, a
 LEAST_SURE = 0.5
 """Least value of `Noise.sure` [-]."""
 
+OF_PREDICTIONS, OF_DERIVATIVES = 0, 1
+"""Sources of draws: those that predictions are averaged over, and those that derivatives are."""
+
 MOST_CHANGE = 3.0
 """Largest factor by which `matched_strength` departs from 1 [-]."""
+
+
+class NoiseDraws(NamedTuple):
+    """What determines draws of the noise.
+
+    Attributes:
+      roots: of the spectrum of each set's noise, (frequency, axis, axis) each.
+      strengths: factor on the amplitude of each set's draws, (frequency,) each.
+      n_pairs: how many pairs of opposite sign.
+      seed: of the random numbers.
+      attempts: how often a trial's noise was drawn anew, (source, pair, trial), see `OF_PREDICTIONS`; None for never.
+    """
+
+    roots: tuple[ComplexArray, ...]
+    strengths: tuple[Array, ...]
+    n_pairs: int
+    seed: int
+    attempts: Array | None = None
+
+    def standard(self, source: int, shape: tuple[int, int, int]) -> Iterator[Array]:
+        """Independent standard normal numbers of each pair, (trial, time, axis)."""
+        rng = np.random.default_rng([self.seed, source])
+        for pair, attempts in enumerate(self.attempted(shape[0])[source]):
+            numbers = rng.standard_normal(shape)
+            for trial in np.flatnonzero(attempts).tolist():
+                again = np.random.default_rng([self.seed, source, pair, trial, int(attempts[trial])])
+                numbers[trial] = again.standard_normal(shape[1:])
+            yield numbers
+
+    def attempted(self, n_trials: int) -> Array:
+        """`attempts`, zeros if there were none."""
+        none = np.zeros((OF_DERIVATIVES + 1, self.n_pairs, n_trials))
+        return none if self.attempts is None else self.attempts[:, : self.n_pairs]
 
 
 class Noise:

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from armperturb.analysis.nonlinear.model import EFFECTS, Parameters, person, stem
-from armperturb.analysis.nonlinear.noise import Noise
+from armperturb.analysis.nonlinear.noise import OF_DERIVATIVES, OF_PREDICTIONS, Noise, NoiseDraws
 from armperturb.analysis.nonlinear.spindle_emg import (
     N_REFLEX,
     POSITION,
@@ -30,7 +30,7 @@ from armperturb.analysis.nonlinear.spindle_emg import (
     reflex_values,
 )
 from armperturb.analysis.trials import ConditionTrials
-from armperturb.arrays import Array, ComplexArray, Indices
+from armperturb.arrays import Array, Indices
 from armperturb.planar_arm.lanes import lane_table
 from armperturb.planar_arm.simulation import Disturbances
 from armperturb.subject import Subject
@@ -41,9 +41,6 @@ search a step or two, and take half the time."""
 
 COORDINATE_STEP = 1e-4
 """Change of a coordinate in finite differences [-]."""
-
-OF_DERIVATIVES = 1
-"""What the seed of draws is extended by for those that derivatives are averaged over."""
 
 PAIRS_OF_SLOPES = 1
 """Pairs of draws over which derivatives are averaged during the search: they need less accuracy than residuals."""
@@ -83,22 +80,6 @@ class Normal(NamedTuple):
 
     matrix: Array
     slope: Array
-
-
-class NoiseDraws(NamedTuple):
-    """What determines draws of the noise.
-
-    Attributes:
-      roots: of the spectrum of each set's noise, (frequency, axis, axis) each.
-      strengths: factor on the amplitude of each set's draws, (frequency,) each.
-      n_pairs: how many pairs of opposite sign.
-      seed: of the random numbers.
-    """
-
-    roots: tuple[ComplexArray, ...]
-    strengths: tuple[Array, ...]
-    n_pairs: int
-    seed: int
 
 
 class Problem:
@@ -186,8 +167,8 @@ class Problem:
         Derivatives are those of the mean response in the presence of as many other draws.
         """
         predicted, derived = (
-            tuple(disturbances for pair in self._disturbed(draws, *source) for disturbances in pair)
-            for source in ((), (OF_DERIVATIVES,))
+            tuple(disturbances for pair in self.disturbed(draws, source) for disturbances in pair)
+            for source in (OF_PREDICTIONS, OF_DERIVATIVES)
         )
         self._average_over(predicted, derived)
 
@@ -199,15 +180,21 @@ class Problem:
         """Whether coarse derivatives take less time than others, and their step is short enough for the arms."""
         return self._coarse != self._derived and bool(np.isfinite(self.predict([state], self._coarse)).all())
 
-    def is_stable(self, state: State) -> bool:
-        """Whether no arm diverges in the presence of any draw."""
-        return all(bool(np.isfinite(self.predict([state], draws)).all()) for draws in (self._averaged, self._derived))
+    def reach(self, state: State) -> float:
+        """Largest displacement of a trial in the presence of a draw, over the largest that was recorded of it [-].
 
-    def _disturbed(self, draws: NoiseDraws, *source: int) -> Iterator[tuple[Disturbances, Disturbances]]:
+        Infinite if an arm diverges.
+        """
+        recorded = np.abs(self._observed).max(axis=(1, 2))
+        far = [
+            np.abs(self.predict([state], (each,))[0]).max(axis=(1, 2)) / recorded
+            for each in (*self._averaged, *self._derived)
+        ]
+        return float(np.nan_to_num(far, nan=np.inf).max())
+
+    def disturbed(self, draws: NoiseDraws, source: int = OF_PREDICTIONS) -> Iterator[tuple[Disturbances, Disturbances]]:
         """The disturbances plus and minus each draw of the noise; other draws of the same noise for another source."""
-        rng = np.random.default_rng([draws.seed, *source])
-        for _ in range(draws.n_pairs):
-            standard = rng.standard_normal(self.perturbation.shape)
+        for standard in draws.standard(source, self.perturbation.shape):
             torque = np.zeros_like(self.perturbation)
             for rows, noise, root, strength in zip(self.rows, self.noises, draws.roots, draws.strengths, strict=True):
                 for trial in range(rows.start, rows.stop):
@@ -216,9 +203,28 @@ class Problem:
 
     def odd_and_even(self, state: State, draws: NoiseDraws) -> Iterator[tuple[Array, Array]]:
         """Parts of the response to each pair of draws [m] that change sign with the noise, and that do not."""
-        for pair in self._disturbed(draws):
+        for pair in self.disturbed(draws):
             _, (plus, minus) = self._responses([state], pair)
             yield 0.5 * (plus - minus), 0.5 * (plus + minus)
+
+    def sensitivity(self, state: State, disturbances: Sequence[Disturbances] = ()) -> Array:
+        """How far the trials move when all unknowns change a little [m], RMS, (trial,); by default without noise.
+
+        Of several disturbances the largest; infinite where an arm diverges.
+        """
+        steps = self._steps(state)
+        moved = state._replace(point=state.point + steps, effects=state.effects + COORDINATE_STEP)
+        largest = np.zeros(self.n_trials)
+        for each in disturbances or (self._quiet,):
+            here, there = self.predict([state, moved], (each,))
+            size = np.sqrt(np.mean((there - here) ** 2, axis=(1, 2)))
+            largest = np.maximum(largest, np.where(np.isfinite(size), size, np.inf))
+        return largest
+
+    def _steps(self, state: State) -> Array:
+        """Changes of the parameters for differences: beyond a bound there may be no such person, (parameter,)."""
+        is_inside = state.point + COORDINATE_STEP <= self.parameters.upper
+        return np.where(is_inside, COORDINATE_STEP, -COORDINATE_STEP)
 
     def subjects(self, state: State) -> list[Subject]:
         """The person in each trial."""
@@ -330,9 +336,7 @@ class Problem:
           of_predictions: whether draws are those that predictions are averaged over, instead of draws of their own.
         """
         n_effects = max(places.stop - places.start for places in self.effects_of)
-        # Beyond a bound there may be no such person.
-        is_inside = state.point + COORDINATE_STEP <= self.parameters.upper
-        steps = np.append(np.where(is_inside, COORDINATE_STEP, -COORDINATE_STEP), np.full(n_effects, COORDINATE_STEP))
+        steps = np.append(self._steps(state), np.full(n_effects, COORDINATE_STEP))
         states = [state._replace(point=state.point + step) for step in np.diag(steps[: len(state.point)])]
         for effect in range(n_effects):
             effects = state.effects.copy()

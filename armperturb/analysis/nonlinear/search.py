@@ -21,8 +21,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy import linalg
 
-from armperturb.analysis.nonlinear.draws import predict_with_noise
-from armperturb.analysis.nonlinear.problem import NoiseDraws, Normal, Problem, State
+from armperturb.analysis.nonlinear.draws import borne, predict_with_noise, run_away
+from armperturb.analysis.nonlinear.noise import NoiseDraws
+from armperturb.analysis.nonlinear.problem import Normal, Problem, State
 from armperturb.arrays import Array
 
 MAX_STEPS = 40
@@ -200,6 +201,10 @@ class Search:
             predicted = problem.predict([self._at.reference])[0]
             problem.weigh(self._at.reference, problem.residual(predicted))
             slopes = problem.slopes(self._at.reference, coarse=is_coarse)
+            if self._calmed(slopes):
+                predicted = problem.predict([self._at.reference])[0]
+                problem.weigh(self._at.reference, problem.residual(predicted))
+                slopes = problem.slopes(self._at.reference, coarse=is_coarse)
             if self._distance():
                 predicted = problem.predict([self._at.state])[0]
             message = self._descend(slopes, predicted)
@@ -208,6 +213,20 @@ class Search:
             self._at = replace(self._at, reference=self._at.state)
             self._keep()
         return f"not converged after {MAX_REFERENCES} new sets of weights and derivatives", slopes
+
+    def _calmed(self, slopes: list[Array]) -> bool:
+        """Whether there was noise with which an arm runs away at the reference; it is drawn anew."""
+        before = self._at.draws
+        if before is None or not run_away(slopes):
+            return False
+        draws = borne(self._problem, self._at.reference, before)
+        n_trials = self._problem.n_trials
+        if np.array_equal(draws.attempted(n_trials), before.attempted(n_trials)):
+            return False
+        self._problem.predict_with(draws)
+        self._at = replace(self._at, draws=draws)
+        self._keep()
+        return True
 
     def _distance(self) -> float:
         """How far the point has come since spectrum and derivatives were taken."""

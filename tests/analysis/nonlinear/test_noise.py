@@ -5,7 +5,8 @@ import pytest
 from scipy import signal, stats
 
 from armperturb.analysis.arm.state_space import simulate_linear
-from armperturb.analysis.nonlinear.noise import Noise
+from armperturb.analysis.nonlinear.draws import MOST_ATTEMPTS, borne, run_away
+from armperturb.analysis.nonlinear.noise import OF_DERIVATIVES, OF_PREDICTIONS, Noise, NoiseDraws
 from armperturb.environment import Environment
 from armperturb.planar_arm.lanes import lane_table
 from armperturb.planar_arm.simulation import Disturbances
@@ -146,3 +147,48 @@ def test_estimates_vary_by_more_as_they_weigh_trials_by_the_noise_of_these():
         squares += [np.sum(values**2) for values in (estimates, counted, not_counted)]
     assert squares[0] == pytest.approx(squares[1], rel=0.04)
     assert squares[0] > 1.05 * squares[2]
+
+
+def test_noise_that_is_drawn_anew_is_of_its_trial_alone():
+    draws, shape = NoiseDraws((), (), 3, 5), (4, 50, 2)
+    attempts = np.zeros((2, 3, 4))
+    attempts[OF_DERIVATIVES, 1, 2] = 2
+    for source in (OF_PREDICTIONS, OF_DERIVATIVES):
+        before, after = (
+            np.array([*each.standard(source, shape)]) for each in (draws, draws._replace(attempts=attempts))
+        )
+        np.testing.assert_array_equal((before != after).any(axis=(2, 3)), attempts[source] > 0)
+    assert np.corrcoef(before[1, 2].ravel(), after[1, 2].ravel())[0, 1] == pytest.approx(0.0, abs=0.3)
+
+
+class Wild:
+    """In place of a problem: an arm runs away where the first number of its noise is above one."""
+
+    n_trials = 40
+
+    def disturbed(self, draws, source):
+        return [(standard,) for standard in draws.standard(source, (self.n_trials, 3, 2))]
+
+    def sensitivity(self, state, disturbances=()):
+        return np.where(disturbances[0][:, 0, 0] > 1.0, 100.0, 2.0) if disturbances else np.ones(self.n_trials)
+
+
+def test_noise_with_which_an_arm_runs_away_is_drawn_anew_and_no_other():
+    draws, problem = NoiseDraws((), (), 5, 9), Wild()
+    found = borne(problem, None, draws)
+    for source in (OF_PREDICTIONS, OF_DERIVATIVES):
+        before, after = (np.array([each for (each,) in problem.disturbed(of, source)]) for of in (draws, found))
+        assert (before[..., 0, 0] > 1.0).sum() > 10
+        assert not (after[..., 0, 0] > 1.0).any()
+        np.testing.assert_array_equal((before != after).any(axis=(2, 3)), before[..., 0, 0] > 1.0)
+    assert found.attempts.max() < MOST_ATTEMPTS
+    # An arm that runs away with any noise ends the search for better one.
+    problem.sensitivity = lambda state, disturbances=(): np.full(problem.n_trials, 1.0 + 99.0 * bool(disturbances))
+    assert (borne(problem, None, draws).attempts == MOST_ATTEMPTS).all()
+
+
+def test_a_trial_that_stands_out_is_told():
+    rng = np.random.default_rng(0)
+    alike = [size * rng.normal(size=(3, 20)) for size in (0.5, 1.0, 2.0)]
+    assert not run_away(alike)
+    assert run_away([*alike, 1e3 * alike[0]])
