@@ -6,16 +6,18 @@ of an earlier run with other options. After each failure every file must be the 
 byte, nothing else may be there, the exit status must be 1, and the command must have said why in one line.
 
 The command runs once, and forks at each operation. The operation fails in the child, which goes on in a copy of the
-folder, at the same path, to the command's end; this process then goes on without the failure. Where it cannot fork, as
-another thread asks or another process answers, the command is run for that failure alone; so it is where a child found
-something wrong, and that run decides. Of more than `--most` operations of a kind, the first from each place in the code
-and others spread evenly are failed; a place is told by all the calls that lead to it.
+folder, at the same path, to the command's end; this process then goes on without the failure. What pools of threads
+would do is done at once, since a child has one thread alone. Where this process cannot fork, as another thread asks or
+another process answers, the command is run for that failure alone; so it is where a child found something wrong, and
+that run decides. Of more than `--most` operations of a kind, the first from each place in the code and others spread
+evenly are failed; a place is told by all the calls that lead to it.
 """
 
 import argparse
 import builtins
 import errno
 import fcntl
+import gc
 import io
 import os
 import shutil
@@ -25,6 +27,7 @@ import tempfile
 import threading
 import traceback
 from collections.abc import Callable, Collection, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from pathlib import Path
 from typing import Any
@@ -100,6 +103,7 @@ class Fault:
     def injected(self) -> Iterator[None]:
         """Within the block, the operations count and one fails."""
         patches = [mock.patch.object(owner, name, self(getattr(owner, name))) for owner, name in OPERATIONS[self.kind]]
+        patches.append(mock.patch.object(ThreadPoolExecutor, "submit", done_at_once))
         for patch in patches:
             patch.start()
         try:
@@ -107,6 +111,16 @@ class Fault:
         finally:
             for patch in patches:
                 patch.stop()
+
+
+def done_at_once(pool: ThreadPoolExecutor, function: Callable[..., Any], *args: Any, **options: Any) -> "Future[Any]":
+    """What a pool of threads is asked to do, done by the thread that asks."""
+    future: Future[Any] = Future()
+    try:
+        future.set_result(function(*args, **options))
+    except Exception as error:
+        future.set_exception(error)
+    return future
 
 
 def may_fork() -> bool:
@@ -219,6 +233,7 @@ def failures(
             counted = Fault(kind)
             status, said, after = result(counted)
             chosen = numbers(counted.places, most)
+            gc.freeze()  # or each child would copy most of this process's memory
             if status or result(Fault(kind, in_children=chosen))[2] != after:
                 raise RuntimeError(f"{' '.join(command)}: {said or 'other files each time'}")
             for number in chosen:
