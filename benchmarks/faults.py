@@ -29,6 +29,8 @@ import traceback
 from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -182,18 +184,18 @@ def failures(
     inputs: Path,
     earlier: list[str],
     command: list[str],
-    kind: str,
+    kinds: Sequence[str],
     most: int | None = None,
     removed: Sequence[str] = (),
-) -> Iterator[tuple[int, str]]:
-    """Number of each operation that was failed, and what was wrong then, empty if nothing.
+) -> Iterator[tuple[str, int, str]]:
+    """Kind and number of each operation that was failed, and what was wrong then, empty if nothing.
 
     Args:
       inputs: folder whose copy is the current folder of each run.
       earlier: command that ran before; empty for none.
       command: that fails.
-      kind: of `OPERATIONS`.
-      most: operations beyond which not all are failed, see `numbers`.
+      kinds: of `OPERATIONS`.
+      most: operations of a kind beyond which not all are failed, see `numbers`.
       removed: patterns of what is removed after the command before.
 
     Raises:
@@ -202,7 +204,7 @@ def failures(
     here = Path.cwd()
     with tempfile.TemporaryDirectory() as name:
         scratch = Path(name).resolve()
-        old, now, good = scratch / "old", scratch / "now", scratch / "good"
+        old, now = scratch / "old", scratch / "now"
 
         def result(fault: Fault) -> tuple[int, str, dict[str, bytes]]:
             try:
@@ -212,7 +214,7 @@ def failures(
                     status, said = run(command)
                 left = contents(now)
                 if fault.is_child and not _wrong(status, said, before, after, left):
-                    (good / str(fault.number)).touch()
+                    (scratch / f"{fault.kind} {fault.number}").touch()
             finally:
                 if fault.is_child:
                     os._exit(0)
@@ -221,7 +223,6 @@ def failures(
             return status, said, left
 
         try:
-            good.mkdir()
             shutil.copytree(inputs, old)
             os.chdir(old)
             if earlier and (ended := run(earlier))[0]:
@@ -229,21 +230,22 @@ def failures(
             for path in [path for pattern in removed for path in old.glob(pattern)]:
                 path.unlink()
             before = contents(old)
-            result(Fault(kind))  # what is imported and kept in memory counts no longer
-            counted = Fault(kind)
-            status, said, after = result(counted)
-            chosen = numbers(counted.places, most)
+            result(Fault("allocation"))  # what is imported and kept in memory counts no longer
             gc.freeze()  # or each child would copy most of this process's memory
-            if status or result(Fault(kind, in_children=chosen))[2] != after:
-                raise RuntimeError(f"{' '.join(command)}: {said or 'other files each time'}")
-            for number in chosen:
-                if (good / str(number)).exists():
-                    yield number, ""
-                    continue
-                fault = Fault(kind, number)
-                status, said, left = result(fault)
-                if len(fault.places) >= number:
-                    yield number, _wrong(status, said, before, after, left)
+            for kind in kinds:
+                counted = Fault(kind)
+                status, said, after = result(counted)
+                chosen = numbers(counted.places, most)
+                if status or result(Fault(kind, in_children=chosen))[2] != after:
+                    raise RuntimeError(f"{' '.join(command)}: {said or 'other files each time'}")
+                for number in chosen:
+                    if (scratch / f"{kind} {number}").exists():
+                        yield kind, number, ""
+                        continue
+                    fault = Fault(kind, number)
+                    status, said, left = result(fault)
+                    if len(fault.places) >= number:
+                        yield kind, number, _wrong(status, said, before, after, left)
         finally:
             os.chdir(here)
 
@@ -340,10 +342,11 @@ def main(arguments: list[str] | None = None) -> None:
         laboratory(Path(name), with_study=bool({"report", "score", "video"} & set(commands)))
         os.chdir(here)
         for command in commands:
-            for kind in options.kinds:
-                seen = list(failures(Path(name), *COMMANDS[command], kind, options.most, REMOVED.get(command, ())))
-                wrong = [(number, text) for number, text in seen if text]
-                print(f"{command}, {kind}: {len(seen)} failed, {len(wrong)} wrong {wrong[:3]}", flush=True)
+            seen = failures(Path(name), *COMMANDS[command], options.kinds, options.most, REMOVED.get(command, ()))
+            for kind, of_kind in groupby(seen, key=itemgetter(0)):
+                results = [(number, text) for _, number, text in of_kind]
+                wrong = [(number, text) for number, text in results if text]
+                print(f"{command}, {kind}: {len(results)} failed, {len(wrong)} wrong {wrong[:3]}", flush=True)
 
 
 if __name__ == "__main__":

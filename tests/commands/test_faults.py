@@ -21,9 +21,9 @@ def inputs(tmp_path_factory):
 @pytest.mark.slow(reason="three runs of a command, and many ends of it")
 @pytest.mark.parametrize("kind", OPERATIONS)
 def test_each_failure_leaves_what_was_there_or_what_is_new(inputs, kind):
-    found = list(failures(inputs, *COMMANDS["convert"], kind, most=4))
+    found = list(failures(inputs, *COMMANDS["convert"], [kind], most=4))
     assert len(found) >= 1
-    assert [text for _, text in found if text] == []
+    assert [text for *_, text in found if text] == []
 
 
 @pytest.fixture
@@ -49,7 +49,8 @@ def in_place(monkeypatch):
 
 def test_a_half_written_file_is_seen(tmp_path, in_place):
     half = "neither the old nor the new file: a"
-    assert list(failures(tmp_path, [], [], "allocation")) == [(1, half), (2, half), (3, half)]
+    found = list(failures(tmp_path, [], [], ["allocation"]))
+    assert found == [("allocation", 1, half), ("allocation", 2, half), ("allocation", 3, half)]
     assert in_place == [os.getpid()] * 6  # three without a failure, and what a child finds wrong is looked at again
 
 
@@ -62,7 +63,8 @@ def test_a_failure_takes_no_run_of_its_own(tmp_path, in_place, monkeypatch):
         return status
 
     monkeypatch.setattr(cli, "main", with_the_file_removed)
-    assert list(failures(tmp_path, [], [], "allocation")) == [(1, ""), (2, ""), (3, "")]
+    found = list(failures(tmp_path, [], [], ["allocation"]))
+    assert found == [("allocation", 1, ""), ("allocation", 2, ""), ("allocation", 3, "")]
     assert in_place == [os.getpid()] * 3
 
 
