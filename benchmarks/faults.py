@@ -30,6 +30,7 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from itertools import groupby
+from multiprocessing import resource_tracker
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
@@ -126,9 +127,10 @@ def done_at_once(pool: ThreadPoolExecutor, function: Callable[..., Any], *args: 
 
 
 def may_fork() -> bool:
-    """Whether no other thread asks, and no process but the reader that waits for files is below this one."""
+    """Whether no other thread asks, and all processes below this one wait: the reader for files, Python's helper."""
+    waiting = {each.pid for each in foreign._waiting} | {resource_tracker._resource_tracker._pid}
     below = {process.pid for process in psutil.Process().children()}
-    return threading.current_thread() is threading.main_thread() and below <= {each.pid for each in foreign._waiting}
+    return threading.current_thread() is threading.main_thread() and below <= waiting
 
 
 def in_a_child(folder: Path) -> bool:
@@ -210,7 +212,8 @@ def failures(
             try:
                 shutil.copytree(old, now)
                 os.chdir(now)
-                with fault.injected():
+                # Temporary files of the command are copied with the folder, and none may be left.
+                with fault.injected(), mock.patch.object(tempfile, "tempdir", str(now)):
                     status, said = run(command)
                 left = contents(now)
                 if fault.is_child and not _wrong(status, said, before, after, left):
