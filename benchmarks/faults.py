@@ -1,9 +1,11 @@
 """Fails the n-th write, rename, fsync or allocation of a command, for every n, and looks at what is left.
 
 Run `python -m benchmarks.faults [COMMAND ...] [--kinds KIND ...] [--most N]`: by default every operation of all
-commands; calibrate's allocations take longest. Each command runs in this process, in a folder that may hold the results
-of an earlier run with other options. After each failure every file must be the earlier one or the new one to the last
-byte, nothing else may be there, the exit status must be 1, and the command must have said why in one line.
+commands, of which the allocations of study, video and calibrate take hours, and those of all others half an hour; with
+GLIBC_TUNABLES=glibc.malloc.hugetlb=1 and PYTHONMALLOC=malloc, large pages make forks faster. Each command runs in this
+process, in a folder that may hold the results of an earlier run with other options. After each failure every file must
+be the earlier one or the new one to the last byte, nothing else may be there, the exit status must be 1, and the
+command must have said why in one line.
 
 The command runs once, and forks at each operation. The operation fails in the child, which goes on in a copy of the
 folder, at the same path, to the command's end; this process then goes on without the failure. What pools of threads
