@@ -83,8 +83,9 @@ class LocalProcesses:
                 threads = str(self.threads(0, self.count))
                 # Arrays come and go: a process that keeps some memory is restarted, which concerns nobody.
                 warnings.filterwarnings("ignore", "A worker was restarted", UserWarning)
-                with _silent_helpers():
-                    pool_tracker.ensure_running()
+                # Likewise the pool's helper, if it was killed.
+                warnings.filterwarnings("ignore", "resource_tracker: process died", UserWarning)
+                pool_tracker.ensure_running()
                 self._executor = ProcessPoolExecutor(
                     self.count,
                     initializer=_begin,
@@ -374,6 +375,10 @@ def _silent_helpers() -> Iterator[None]:
     finally:
         os.dup2(error_stream, 2)
         os.close(error_stream)
+
+
+# The pool itself starts its helper anew where that was killed, and the new one complains of all that it does not know.
+pool_tracker.spawnv_passfds = _silent_helpers()(pool_tracker.spawnv_passfds)
 
 
 def _on_its_own(function: Callable[[Unit], Result], unit: Unit) -> Result:

@@ -1,29 +1,47 @@
 """Fails the n-th write, rename, fsync or allocation of a command, for every n, and looks at what is left.
 
-Run `python -m benchmarks.faults [COMMAND ...] [--most N]`: by default all commands, with at most 20 operations of a
-kind; report, design and calibrate take longest. Each command runs in this process, in a folder that may hold the
-results of an earlier run with other options. After each failure every file must be the earlier one or the new one to
-the last byte, nothing else may be there, the exit status must be 1, and the command must have said why in one line. Of
-more than `--most` operations of a kind, the first half of that number and others spread evenly are failed.
+Run `python -m benchmarks.faults [COMMAND ...] [--kinds KIND ...] [--most N]`: by default every operation of all
+commands, of which the allocations of study, video and calibrate take hours, and those of all others half an hour; with
+GLIBC_TUNABLES=glibc.malloc.hugetlb=1 and PYTHONMALLOC=malloc, large pages make forks faster. Each command runs in this
+process, in a folder that may hold the results of an earlier run with other options. After each failure every file must
+be the earlier one or the new one to the last byte, nothing else may be there, the exit status must be 1, and the
+command must have said why in one line.
+
+The command runs once, and forks at each operation. The operation fails in the child, which goes on in a copy of the
+folder, at the same path, to the command's end; this process then goes on without the failure. What pools of threads
+would do is done at once, since a child has one thread alone. Where this process cannot fork, as another thread asks or
+another process answers, the command is run for that failure alone; so it is where a child found something wrong, and
+that run decides. Of more than `--most` operations of a kind, the first from each place in the code and others spread
+evenly are failed; a place is told by all the calls that lead to it.
 """
 
 import argparse
 import builtins
 import errno
+import fcntl
+import gc
 import io
 import os
 import shutil
+import signal
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+import threading
+import traceback
+from collections.abc import Callable, Collection, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
+from itertools import groupby
+from multiprocessing import resource_tracker
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 from unittest import mock
 
 import numpy as np
+import psutil
 
-from armperturb import cli
+from armperturb import cli, foreign
 from armperturb.perturbations import Multisine, save_perturbation
 from armperturb.study.recording.folder import ANALYSIS
 from armperturb.subject import RELAX
@@ -38,25 +56,43 @@ OPERATIONS = {
 """Kind to the functions that do it."""
 
 
+PATIENCE = 120
+"""Time that a child may take to the command's end [s]."""
+
+
 class Fault:
-    """Counts the operations of a kind and fails one of them.
+    """Counts the operations of a kind and fails one of them, or others each in a child.
+
+    Args:
+      kind: of `OPERATIONS`.
+      number: of the operation that fails, from 1; 0 for none.
+      in_children: numbers of those that fail in a child, if this process may fork.
 
     Attributes:
-      count: operations so far.
+      places: of the operations so far, in the code.
+      is_child: whether this process is a child.
     """
 
-    def __init__(self, kind: str, number: int) -> None:
-        self.kind, self.number, self.count = kind, number, 0
+    def __init__(self, kind: str, number: int = 0, in_children: Collection[int] = ()) -> None:
+        self.kind, self.number, self.in_children = kind, number, frozenset(in_children)
+        self.places: list[int] = []
+        self.is_child = self._is_forking = False
 
     def __call__(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """The function, the n-th call of which fails."""
 
         def called(*args: Any, **options: Any) -> Any:
             mode = str(options.get("mode", args[1] if len(args) > 1 else "r"))
-            if self.kind == "write" and not set(mode) & set("wxa"):
+            if self._is_forking or (self.kind == "write" and not set(mode) & set("wxa")):
                 return function(*args, **options)
-            self.count += 1
-            if self.count != self.number:
+            self.places.append(hash(tuple((frame.f_code, line) for frame, line in traceback.walk_stack(None))))
+            if len(self.places) in self.in_children and may_fork():
+                self._is_forking = True
+                self.is_child = in_a_child(Path.cwd())
+                self._is_forking = False
+                if self.is_child:
+                    self.number, self.in_children = len(self.places), frozenset()
+            if len(self.places) != self.number:
                 return function(*args, **options)
             if self.kind == "allocation":
                 raise MemoryError("Unable to allocate")
@@ -72,6 +108,7 @@ class Fault:
     def injected(self) -> Iterator[None]:
         """Within the block, the operations count and one fails."""
         patches = [mock.patch.object(owner, name, self(getattr(owner, name))) for owner, name in OPERATIONS[self.kind]]
+        patches.append(mock.patch.object(ThreadPoolExecutor, "submit", done_at_once))
         for patch in patches:
             patch.start()
         try:
@@ -81,38 +118,88 @@ class Fault:
                 patch.stop()
 
 
+def done_at_once(pool: ThreadPoolExecutor, function: Callable[..., Any], *args: Any, **options: Any) -> "Future[Any]":
+    """What a pool of threads is asked to do, done by the thread that asks."""
+    future: Future[Any] = Future()
+    try:
+        future.set_result(function(*args, **options))
+    except Exception as error:
+        future.set_exception(error)
+    return future
+
+
+def may_fork() -> bool:
+    """Whether no other thread asks, and all processes below this one wait: the reader for files, Python's helper."""
+    waiting = {each.pid for each in foreign._waiting} | {resource_tracker._resource_tracker._pid}
+    below = {process.pid for process in psutil.Process().children()}
+    return threading.current_thread() is threading.main_thread() and below <= waiting
+
+
+def in_a_child(folder: Path) -> bool:
+    """Whether this is a child process, in a copy of the current folder at its path; the parent waits for its end."""
+    kept = folder.with_name("kept")
+    os.rename(folder, kept)
+    shutil.copytree(kept, folder)
+    child = os.fork()
+    if child:
+        os.waitpid(child, 0)
+        shutil.rmtree(folder)
+        os.rename(kept, folder)
+        return False
+    signal.alarm(PATIENCE)
+    os.chdir(folder)
+    for handle in map(int, os.listdir("/proc/self/fd")):
+        with suppress(OSError, ValueError):  # not open any more, or no file of the folder
+            path = folder / Path(os.readlink(f"/proc/self/fd/{handle}")).relative_to(kept)
+            own = os.open(path, fcntl.fcntl(handle, fcntl.F_GETFL))
+            os.lseek(own, os.lseek(handle, 0, os.SEEK_CUR), os.SEEK_SET)
+            os.dup2(own, handle)
+            os.close(own)
+    return True
+
+
 def contents(folder: Path) -> dict[str, bytes]:
     """Path to content of all files in a folder, folders included."""
     return {str(path.relative_to(folder)): b"" if path.is_dir() else path.read_bytes() for path in folder.rglob("*")}
 
 
 def run(arguments: list[str]) -> tuple[int, str]:
-    """Exit status of a command and what it said of an error."""
+    """Exit status of a command, which is -1 if it raises, and what it said of an error."""
     said = io.StringIO()
     with redirect_stderr(said), redirect_stdout(io.StringIO()):
-        status = cli.main(arguments)
+        try:
+            status = cli.main(arguments)
+        except (Exception, SystemExit):
+            traceback.print_exc()
+            status = -1
     return status, said.getvalue()
 
 
-def numbers(count: int, most: int) -> list[int]:
-    """Which operations of so many are failed, from 1: all of few, else the first ones and others spread evenly."""
-    if count <= most:
+def numbers(places: Sequence[int], most: int | None) -> list[int]:
+    """Which operations are failed, from 1: all of few, else the first from each place and others spread evenly."""
+    count = len(places)
+    if most is None or count <= most:
         return list(range(1, count + 1))
-    first = most // 2
-    return [*range(1, first + 1), *np.linspace(first + 1, count, most - first).round().astype(int).tolist()]
+    first = {place: count - back for back, place in enumerate(reversed(places))}
+    return sorted({*first.values(), *np.linspace(1, count, most).round().astype(int).tolist()})
 
 
 def failures(
-    inputs: Path, earlier: list[str], command: list[str], kind: str, most: int, removed: Sequence[str] = ()
-) -> Iterator[tuple[int, str]]:
-    """Number of each operation that was failed, and what was wrong then, empty if nothing.
+    inputs: Path,
+    earlier: list[str],
+    command: list[str],
+    kinds: Sequence[str],
+    most: int | None = None,
+    removed: Sequence[str] = (),
+) -> Iterator[tuple[str, int, str]]:
+    """Kind and number of each operation that was failed, and what was wrong then, empty if nothing.
 
     Args:
       inputs: folder whose copy is the current folder of each run.
       earlier: command that ran before; empty for none.
       command: that fails.
-      kind: of `OPERATIONS`.
-      most: operations that are failed.
+      kinds: of `OPERATIONS`.
+      most: operations of a kind beyond which not all are failed, see `numbers`.
       removed: patterns of what is removed after the command before.
 
     Raises:
@@ -120,14 +207,22 @@ def failures(
     """
     here = Path.cwd()
     with tempfile.TemporaryDirectory() as name:
-        old, now = Path(name) / "old", Path(name) / "now"
+        scratch = Path(name).resolve()
+        old, now = scratch / "old", scratch / "now"
 
         def result(fault: Fault) -> tuple[int, str, dict[str, bytes]]:
-            shutil.copytree(old, now)
-            os.chdir(now)
-            with fault.injected():
-                status, said = run(command)
-            left = contents(now)
+            try:
+                shutil.copytree(old, now)
+                os.chdir(now)
+                # Temporary files of the command are copied with the folder, and none may be left.
+                with fault.injected(), mock.patch.object(tempfile, "tempdir", str(now)):
+                    status, said = run(command)
+                left = contents(now)
+                if fault.is_child and not _wrong(status, said, before, after, left):
+                    (scratch / f"{fault.kind} {fault.number}").touch()
+            finally:
+                if fault.is_child:
+                    os._exit(0)
             os.chdir(here)
             shutil.rmtree(now)
             return status, said, left
@@ -140,16 +235,22 @@ def failures(
             for path in [path for pattern in removed for path in old.glob(pattern)]:
                 path.unlink()
             before = contents(old)
-            result(Fault(kind, 0))  # what is imported and kept in memory counts no longer
-            counted = Fault(kind, 0)
-            status, said, after = result(counted)
-            if status or result(Fault(kind, 0))[2] != after:
-                raise RuntimeError(f"{' '.join(command)}: {said or 'other files each time'}")
-            for number in numbers(counted.count, most):
-                fault = Fault(kind, number)
-                status, said, left = result(fault)
-                if fault.count >= number:
-                    yield number, _wrong(status, said, before, after, left)
+            result(Fault("allocation"))  # what is imported and kept in memory counts no longer
+            gc.freeze()  # or each child would copy most of this process's memory
+            for kind in kinds:
+                counted = Fault(kind)
+                status, said, after = result(counted)
+                chosen = numbers(counted.places, most)
+                if status or result(Fault(kind, in_children=chosen))[2] != after:
+                    raise RuntimeError(f"{' '.join(command)}: {said or 'other files each time'}")
+                for number in chosen:
+                    if (scratch / f"{kind} {number}").exists():
+                        yield kind, number, ""
+                        continue
+                    fault = Fault(kind, number)
+                    status, said, left = result(fault)
+                    if len(fault.places) >= number:
+                        yield kind, number, _wrong(status, said, before, after, left)
         finally:
             os.chdir(here)
 
@@ -237,7 +338,8 @@ def main(arguments: list[str] | None = None) -> None:
     """Print for each command and kind of operation how many were failed, and what was wrong."""
     parser = argparse.ArgumentParser()
     parser.add_argument("commands", nargs="*", choices=[[], *COMMANDS])
-    parser.add_argument("--most", type=int, default=20)
+    parser.add_argument("--kinds", nargs="*", choices=OPERATIONS, default=list(OPERATIONS))
+    parser.add_argument("--most", type=int)
     options = parser.parse_args([] if arguments is None else arguments)
     commands = options.commands or list(COMMANDS)
     here = Path.cwd()
@@ -245,10 +347,11 @@ def main(arguments: list[str] | None = None) -> None:
         laboratory(Path(name), with_study=bool({"report", "score", "video"} & set(commands)))
         os.chdir(here)
         for command in commands:
-            for kind in OPERATIONS:
-                seen = list(failures(Path(name), *COMMANDS[command], kind, options.most, REMOVED.get(command, ())))
-                wrong = [(number, text) for number, text in seen if text]
-                print(f"{command}, {kind}: {len(seen)} failed, {len(wrong)} wrong {wrong[:3]}", flush=True)
+            seen = failures(Path(name), *COMMANDS[command], options.kinds, options.most, REMOVED.get(command, ()))
+            for kind, of_kind in groupby(seen, key=itemgetter(0)):
+                results = [(number, text) for _, number, text in of_kind]
+                wrong = [(number, text) for number, text in results if text]
+                print(f"{command}, {kind}: {len(results)} failed, {len(wrong)} wrong {wrong[:3]}", flush=True)
 
 
 if __name__ == "__main__":

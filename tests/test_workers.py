@@ -115,16 +115,23 @@ def test_what_a_unit_raises_comes_through():
         list(completed(fail, range(1), LocalProcesses(1)))
 
 
+def helper():
+    """The process that cleans up after a pool."""
+    running = [each for each in psutil.Process().children() if each.status() != psutil.STATUS_ZOMBIE]
+    (process,) = [each for each in running if "loky.backend.resource_tracker" in str(each.cmdline())]
+    return process
+
+
 @pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="a process's files are in /proc on Linux alone")
-def test_the_pools_helper_prints_nothing_about_killed_workers():
+def test_the_pools_helper_prints_nothing_about_killed_workers_nor_when_it_is_started_anew():
     error = os.readlink("/proc/self/fd/2")
     with workers_for(2, None) as pool:
-        assert list(completed(square, [3], pool)) == [9]
-        helpers = [
-            each for each in psutil.Process().children() if "loky.backend.resource_tracker" in str(each.cmdline())
-        ]
-        assert [os.readlink(f"/proc/{each.pid}/fd/2") for each in helpers] == [os.devnull]
-        assert os.readlink("/proc/self/fd/2") == error
+        for _ in range(2):
+            assert list(completed(square, [3], pool)) == [9]
+            assert os.readlink(f"/proc/{helper().pid}/fd/2") == os.devnull
+            helper().kill()
+            pool.stop()
+    assert os.readlink("/proc/self/fd/2") == error
 
 
 def test_a_warning_of_a_worker_is_one_line(capfd):

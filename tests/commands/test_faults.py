@@ -1,11 +1,13 @@
 """A write, rename, fsync or allocation that fails leaves results as they were, or whole, and one line."""
 
 import os
+import sys
 
+import numpy as np
 import pytest
 
-from armperturb import files
-from benchmarks.faults import COMMANDS, OPERATIONS, failures, laboratory
+from armperturb import cli, files
+from benchmarks.faults import COMMANDS, OPERATIONS, failures, laboratory, numbers
 
 
 @pytest.fixture(scope="module")
@@ -16,12 +18,59 @@ def inputs(tmp_path_factory):
     return folder
 
 
-@pytest.mark.slow(reason="seven runs of a command")
+@pytest.mark.slow(reason="three runs of a command, and many ends of it")
 @pytest.mark.parametrize("kind", OPERATIONS)
 def test_each_failure_leaves_what_was_there_or_what_is_new(inputs, kind):
-    found = list(failures(inputs, *COMMANDS["convert"], kind, most=4))
+    found = list(failures(inputs, *COMMANDS["convert"], [kind], most=4))
     assert len(found) >= 1
-    assert [text for _, text in found if text] == []
+    assert [text for *_, text in found if text] == []
+
+
+@pytest.fixture
+def in_place(monkeypatch):
+    """Process of each run of a command that writes a file in place, in three parts, with an allocation before each."""
+    runs = []
+
+    def command(arguments):
+        runs.append(os.getpid())
+        with open("a", "w", encoding="utf-8") as file:
+            for part in ("first", "second", "third"):
+                try:
+                    np.zeros(1)
+                except MemoryError:
+                    print("armperturb: error: no memory", file=sys.stderr)
+                    return 1
+                file.write(part)
+        return 0
+
+    monkeypatch.setattr(cli, "main", command)
+    return runs
+
+
+def test_a_half_written_file_is_seen(tmp_path, in_place):
+    half = "neither the old nor the new file: a"
+    found = list(failures(tmp_path, [], [], ["allocation"]))
+    assert found == [("allocation", 1, half), ("allocation", 2, half), ("allocation", 3, half)]
+    assert in_place == [os.getpid()] * 6  # three without a failure, and what a child finds wrong is looked at again
+
+
+def test_a_failure_takes_no_run_of_its_own(tmp_path, in_place, monkeypatch):
+    whole = cli.main
+
+    def with_the_file_removed(arguments):
+        if status := whole(arguments):
+            os.remove("a")
+        return status
+
+    monkeypatch.setattr(cli, "main", with_the_file_removed)
+    found = list(failures(tmp_path, [], [], ["allocation"]))
+    assert found == [("allocation", 1, ""), ("allocation", 2, ""), ("allocation", 3, "")]
+    assert in_place == [os.getpid()] * 3
+
+
+def test_of_many_failures_those_from_each_place_are_seen():
+    assert numbers([7, 7, 5, 7], None) == numbers([7, 7, 5, 7], 4) == [1, 2, 3, 4]
+    assert numbers([7, 7, 5, 7, 5, 5, 5, 7], 2) == [1, 3, 8]
 
 
 @pytest.fixture

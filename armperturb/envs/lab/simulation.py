@@ -69,7 +69,8 @@ def silent_simulator() -> Iterator[None]:
         yield
     finally:
         with _HANDLERS_LOCK:
-            handler.value = _HANDLERS.pop()
+            if _HANDLERS:  # none in a child that was forked within the block, which has begun anew
+                handler.value = _HANDLERS.pop()
 
 
 COMPILED = (

@@ -1,6 +1,7 @@
 """The gymnasium environments: their contract, and that they are the study's physics to the last bit."""
 
 import hashlib
+import os
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -17,7 +18,7 @@ from armperturb.analysis.arm.geometry import hand_jacobian
 from armperturb.cohort import draw_person
 from armperturb.controllers.remnant import HUMAN_NOISE, HumanNoise
 from armperturb.environment import Environment
-from armperturb.envs.lab.simulation import warning_handler
+from armperturb.envs.lab.simulation import silent_simulator, warning_handler
 from armperturb.envs.learning.gym_vector_env import ArmPerturbVectorEnv
 from armperturb.envs.learning.levels import subject_at
 from armperturb.envs.learning.participants import SENSES, action_names
@@ -607,6 +608,22 @@ def test_warnings_of_the_simulator_come_back_after_threads():
     with ThreadPoolExecutor(3) as pool:
         list(pool.map(lambda env: path(env, 15, seed=0), envs))
     assert handler.value == before
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork on Windows")
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+def test_a_child_that_is_forked_in_silence_ends_it():
+    handler, _ = warning_handler()
+    before, child, ended_well = handler.value, None, False
+    try:
+        with silent_simulator():
+            child = os.fork()
+        ended_well = handler.value == before
+    finally:
+        if child == 0:
+            os._exit(0 if ended_well else 1)
+    assert ended_well
+    assert os.waitpid(child, 0)[1] == 0
 
 
 def test_no_step_before_reset():
