@@ -378,7 +378,8 @@ def _silent_helpers() -> Iterator[None]:
 
 
 # The pool itself starts its helper anew where that was killed, and the new one complains of all that it does not know.
-pool_tracker.spawnv_passfds = _silent_helpers()(pool_tracker.spawnv_passfds)
+if hasattr(pool_tracker, "spawnv_passfds"):  # loky's own function
+    pool_tracker.spawnv_passfds = _silent_helpers()(pool_tracker.spawnv_passfds)
 
 
 def _on_its_own(function: Callable[[Unit], Result], unit: Unit) -> Result:
