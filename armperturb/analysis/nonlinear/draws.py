@@ -91,16 +91,19 @@ def predict_with_noise(problem: Problem, state: State, residual: Array, n_pairs:
     return predict_with_stable_noise(problem, state, NoiseDraws(roots, strengths, n_pairs, seed))
 
 
-def predict_with_stable_noise(problem: Problem, state: State, draws: NoiseDraws) -> NoiseDraws:
+def predict_with_stable_noise(
+    problem: Problem, state: State, draws: NoiseDraws, *, closely: bool = False
+) -> NoiseDraws:
     """Let a problem predict in the presence of draws that all arms bear, and return those.
 
     Args:
       problem: predicts with the draws from now on.
       state: at which arms must bear them.
       draws: as strong as they are wanted.
+      closely: whether to look for arms that run away even where no draw moves one far.
     """
     problem.predict_with(draws)
-    if problem.reach(state) > FAR:
+    if closely or problem.reach(state) > FAR:
         draws = borne(problem, state, draws)
         problem.predict_with(draws)
     for _ in range(MOST_WEAKENED):
@@ -112,9 +115,12 @@ def predict_with_stable_noise(problem: Problem, state: State, draws: NoiseDraws)
 
 
 def run_away(alike: Sequence[Array]) -> bool:
-    """Whether derivatives of a trial, or its answer to a draw, are so much larger than others that an arm runs away."""
-    sizes = [np.linalg.norm(each) for each in alike]
-    return bool(np.max(sizes) > WILD * np.median(sizes))
+    """Whether derivatives of a trial, or its answer to a draw, are so much larger than others that an arm runs away.
+
+    Zeros stand for an arm that diverges (`Problem.slopes`).
+    """
+    sizes = np.array([np.linalg.norm(each) for each in alike])
+    return bool((sizes > WILD * np.median(sizes)).any() or (sizes == 0.0).any())
 
 
 def borne(

@@ -329,6 +329,8 @@ class Problem:
     ) -> list[Array]:
         """Derivatives of white predictions: of each trial (parameters and own effects, number).
 
+        They are zero where an arm diverges, so that such a trial says nothing of where to go.
+
         Args:
           state: where they are taken.
           n_draws: how many draws they are averaged over; by default all.
@@ -349,6 +351,7 @@ class Problem:
         if coarse and not np.isfinite(predicted).all():  # the step is too long for this arm
             return self.slopes(state, n_draws=n_draws)
         changes = (predicted[1:] - predicted[0]) / steps[:, None, None, None]
+        changes[:, ~np.isfinite(changes).all(axis=(0, 2, 3))] = 0.0
         slopes = []
         for rows, noise in zip(self.rows, self.noises, strict=True):
             for trial in range(rows.start, rows.stop):

@@ -21,7 +21,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy import linalg
 
-from armperturb.analysis.nonlinear.draws import borne, predict_with_noise, run_away
+from armperturb.analysis.nonlinear.draws import predict_with_noise, predict_with_stable_noise, run_away
 from armperturb.analysis.nonlinear.noise import NoiseDraws
 from armperturb.analysis.nonlinear.problem import Normal, Problem, State
 from armperturb.arrays import Array
@@ -219,11 +219,12 @@ class Search:
         before = self._at.draws
         if before is None or not run_away(slopes):
             return False
-        draws = borne(self._problem, self._at.reference, before)
+        draws = predict_with_stable_noise(self._problem, self._at.reference, before, closely=True)
         n_trials = self._problem.n_trials
-        if np.array_equal(draws.attempted(n_trials), before.attempted(n_trials)):
+        if draws.strengths is before.strengths and np.array_equal(
+            draws.attempted(n_trials), before.attempted(n_trials)
+        ):
             return False
-        self._problem.predict_with(draws)
         self._at = replace(self._at, draws=draws)
         self._keep()
         return True

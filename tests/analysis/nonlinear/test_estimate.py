@@ -12,6 +12,7 @@ from armperturb.analysis.nonlinear.draws import (
     agreed_information,
     lack_of_fit,
     predict_with_noise,
+    run_away,
     simulate_deviations,
 )
 from armperturb.analysis.nonlinear.estimate import fit, free_parameters, nearest_arms
@@ -466,6 +467,21 @@ def test_derivatives_are_not_coarse_where_their_step_is_too_long_for_the_arm(noi
         problem.weigh(state, problem.residual(problem.predict([state])[0]))
         pairs = zip(problem.slopes(state, coarse=True), problem.slopes(state), strict=True)
         assert all(np.array_equal(coarse, fine) for coarse, fine in pairs) == (not is_slow)
+
+
+@pytest.mark.slow(reason="simulates eight trials")
+def test_a_trial_in_which_the_arm_diverges_says_nothing_of_where_to_go(at_truth):
+    problem, state, _ = at_truth
+    roots = tuple(noise.root for noise in problem.noises)
+    strengths = [np.ones(len(root)) for root in roots]
+    strengths[1] *= 1e6  # of the second condition
+    problem.predict_with(NoiseDraws(roots, tuple(strengths), 1, 0))
+    n_first = problem.sets[0].n_trials
+    slopes = problem.slopes(state)
+    assert all(np.isfinite(columns).all() for columns in slopes)
+    assert [bool(columns.any()) for columns in slopes] == [True] * n_first + [False] * problem.sets[1].n_trials
+    assert run_away(slopes)
+    assert problem.reach(state) == np.inf
 
 
 @pytest.mark.slow(reason="simulates eight trials")

@@ -192,3 +192,4 @@ def test_a_trial_that_stands_out_is_told():
     alike = [size * rng.normal(size=(3, 20)) for size in (0.5, 1.0, 2.0)]
     assert not run_away(alike)
     assert run_away([*alike, 1e3 * alike[0]])
+    assert run_away([*alike, 0.0 * alike[0]])
