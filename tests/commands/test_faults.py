@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from armperturb import cli, files
+from benchmarks import faults
 from benchmarks.faults import COMMANDS, OPERATIONS, failures, laboratory, numbers
 
 
@@ -56,6 +57,8 @@ def test_a_half_written_file_is_seen(tmp_path, in_place):
 
 def test_a_failure_takes_no_run_of_its_own(tmp_path, in_place, monkeypatch):
     whole = cli.main
+    # Other tests may have left a helper of a pool to this process.
+    monkeypatch.setattr(faults, "may_fork", lambda: True)
 
     def with_the_file_removed(arguments):
         if status := whole(arguments):
