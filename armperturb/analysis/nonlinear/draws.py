@@ -115,12 +115,22 @@ def predict_with_stable_noise(
 
 
 def run_away(alike: Sequence[Array]) -> bool:
-    """Whether derivatives of a trial, or its answer to a draw, are so much larger than others that an arm runs away.
+    """Whether derivatives of a trial, or its answer to a draw, are so much larger than others that an arm may run away.
 
-    Zeros stand for an arm that diverges (`Problem.slopes`).
+    Zeros stand for an arm that diverges (`Problem.slopes`). Trials of another kind may stand out as well.
     """
     sizes = np.array([np.linalg.norm(each) for each in alike])
     return bool((sizes > WILD * np.median(sizes)).any() or (sizes == 0.0).any())
+
+
+def is_borne(problem: Problem, state: State, draws: NoiseDraws) -> bool:
+    """Whether no arm runs away in the presence of any draw."""
+    most = WILD * problem.sensitivity(state)
+    return all(
+        bool((problem.sensitivity(state, disturbances) <= most).all())
+        for source in (OF_PREDICTIONS, OF_DERIVATIVES)
+        for disturbances in problem.disturbed(draws, source)
+    )
 
 
 def borne(

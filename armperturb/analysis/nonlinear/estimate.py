@@ -17,6 +17,7 @@ from armperturb.analysis.nonlinear.checkpoint import digest_of, load_position, s
 from armperturb.analysis.nonlinear.draws import (
     Deviations,
     agreed_information,
+    is_borne,
     lack_of_fit,
     run_away,
     score_variance,
@@ -184,7 +185,8 @@ def _estimate(
             covariance = covariance @ score_variance(problem, state, slopes, deviations) @ covariance
         else:
             message = "every noise draw makes the simulation diverge; confidence intervals are not valid"
-    if run_away(slopes) or run_away(others):
+    stand_out = run_away(slopes) or run_away(others)
+    if stand_out and position.draws is not None and not is_borne(problem, state, position.draws):
         message = "in some trials the arm runs away under the person's noise; confidence intervals are not valid"
     tested = lack_of_fit(problem, state, predicted, slopes, deviations)
     covariance = covariance[:n, :n]

@@ -5,7 +5,7 @@ import pytest
 from scipy import signal, stats
 
 from armperturb.analysis.arm.state_space import simulate_linear
-from armperturb.analysis.nonlinear.draws import MOST_ATTEMPTS, borne, run_away
+from armperturb.analysis.nonlinear.draws import MOST_ATTEMPTS, borne, is_borne, run_away
 from armperturb.analysis.nonlinear.noise import OF_DERIVATIVES, OF_PREDICTIONS, Noise, NoiseDraws
 from armperturb.environment import Environment
 from armperturb.planar_arm.lanes import lane_table
@@ -182,6 +182,8 @@ def test_noise_with_which_an_arm_runs_away_is_drawn_anew_and_no_other():
         assert not (after[..., 0, 0] > 1.0).any()
         np.testing.assert_array_equal((before != after).any(axis=(2, 3)), before[..., 0, 0] > 1.0)
     assert found.attempts.max() < MOST_ATTEMPTS
+    assert is_borne(problem, None, found)
+    assert not is_borne(problem, None, draws)
     # An arm that runs away with any noise ends the search for better one.
     problem.sensitivity = lambda state, disturbances=(): np.full(problem.n_trials, 1.0 + 99.0 * bool(disturbances))
     assert (borne(problem, None, draws).attempts == MOST_ATTEMPTS).all()
