@@ -39,6 +39,9 @@ ENDINGS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP"
 MOST_WORKERS = 1000
 """Processes on one machine; each takes some 200 MB."""
 
+HELPER_DIED = "resource_tracker: process died"
+"""How the warning begins that a pool's helper was killed: it is started anew, which concerns nobody."""
+
 LEAST_ADDRESSES = 10**9
 """Address space with which a worker starts [byte]."""
 
@@ -83,8 +86,7 @@ class LocalProcesses:
                 threads = str(self.threads(0, self.count))
                 # Arrays come and go: a process that keeps some memory is restarted, which concerns nobody.
                 warnings.filterwarnings("ignore", "A worker was restarted", UserWarning)
-                # Likewise the pool's helper, if it was killed.
-                warnings.filterwarnings("ignore", "resource_tracker: process died", UserWarning)
+                warnings.filterwarnings("ignore", HELPER_DIED, UserWarning)
                 pool_tracker.ensure_running()
                 self._executor = ProcessPoolExecutor(
                     self.count,
@@ -404,5 +406,6 @@ def _begin(parent: int, modules: Sequence[str]) -> None:
 
     threading.Thread(target=watch, daemon=True).start()
     warnings.formatwarning = lambda message, *_: f"armperturb: warning: {' '.join(str(message).split())}\n"
+    warnings.filterwarnings("ignore", HELPER_DIED, UserWarning)
     for module in modules:
         importlib.import_module(module)

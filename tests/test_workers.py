@@ -138,6 +138,16 @@ def test_the_pools_helper_prints_nothing_about_killed_workers_nor_when_it_is_sta
     assert os.readlink("/proc/self/fd/2") == error
 
 
+def note_that_the_helper_died(_):
+    warnings.warn("resource_tracker: process died unexpectedly, relaunching", stacklevel=1)
+
+
+def test_workers_say_nothing_of_a_helper_that_was_killed(capfd):
+    with workers_for(2, None) as pool:
+        list(completed(note_that_the_helper_died, range(2), pool))
+    assert capfd.readouterr().err == ""
+
+
 def test_a_warning_of_a_worker_is_one_line(capfd):
     with workers_for(2, None) as pool:
         list(completed(warn, [3], pool))
