@@ -64,8 +64,7 @@ def test_a_larger_cohort_begins_with_the_same_people(settings, alone):
 def test_processes_and_a_dask_cluster_give_the_same_cells(settings, alone):
     distributed = pytest.importorskip("distributed")
     assert measure_cohort(settings, workers=2, show_progress=False).equals(alone)
-    # Its workers are threads here; test_record.py has a cluster of processes.
-    options = {"n_workers": 1, "processes": False, "dashboard_address": None, "silence_logs": 50}
+    options = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": None, "silence_logs": 50}
     with distributed.LocalCluster(**options) as cluster:
         assert measure_cohort(settings, dask=cluster.scheduler_address, show_progress=False).equals(alone)
 

@@ -301,7 +301,7 @@ def test_a_full_disk_is_one_line_and_spares_earlier_files(protocol, settings, un
     unlimited = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (len(undisturbed["S02.nc"]) // 2, unlimited[1]))
     try:
-        status = main(arguments(copied, protocol, "--workers", "1"))
+        status = main(arguments(copied, protocol, "--workers", "2"))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, unlimited)
     assert status == 1

@@ -90,7 +90,7 @@ def test_the_right_structure_is_not_flagged(right):
 
 
 def test_the_number_of_workers_has_no_effect():
-    settings = replace(RECORD, groups=2, trials=1, estimators=("frequency",))
+    settings = replace(RECORD, groups=2, trials=1, estimators=("frequency", "record"))
     one, two = (validate(settings, workers=count, show_progress=False) for count in (1, 2))
     assert one.to_frame().equals(two.to_frame())
     assert one.names == two.names == settings.structure().free
