@@ -30,47 +30,55 @@ from armperturb.subject import RELAX, Subject
 
 
 @functools.cache
-def warning_handler() -> tuple[ctypes.c_void_p, int | None]:
-    """Where MuJoCo keeps its handler, and the address of one that does nothing."""
-    handler = ctypes.c_void_p.in_dll(library(), "mju_user_warning")
-    return handler, ctypes.cast(ctypes.CDLL(None).strlen, ctypes.c_void_p).value
+def callbacks() -> tuple[tuple[ctypes.c_void_p, int | None], ...]:
+    """Where MuJoCo keeps its handler of warnings and its clock, each with the address of what stands in for it.
+
+    A C function that takes a text and does nothing with it stands in for the handler, nothing for the clock: MuJoCo
+    reads it dozens of times a step for `MjData.timer` alone, which takes a quarter of the step.
+    """
+    handler, clock = (ctypes.c_void_p.in_dll(library(), name) for name in ("mju_user_warning", "mjcb_time"))
+    return (handler, ctypes.cast(ctypes.CDLL(None).strlen, ctypes.c_void_p).value), (clock, None)
 
 
-_HANDLERS: list[int | None] = []
-"""What was MuJoCo's handler when each of those began who keep it silent now: its own first, then what does nothing."""
+_REPLACED: list[tuple[int | None, ...]] = []
+"""What the callbacks were when each of those began who keep MuJoCo silent now: its own first, then what stands in."""
 
-_HANDLERS_LOCK = threading.Lock()
+_REPLACED_LOCK = threading.Lock()
 
 
-def _forget_handlers() -> None:
+def _forget_replaced() -> None:
     """Begin anew in a forked child, which has none of the threads that asked for silence."""
-    global _HANDLERS_LOCK
-    _HANDLERS_LOCK = threading.Lock()
-    if _HANDLERS:
-        warning_handler()[0].value = _HANDLERS[0]
-        _HANDLERS.clear()
+    global _REPLACED_LOCK
+    _REPLACED_LOCK = threading.Lock()
+    if _REPLACED:
+        _put_back(_REPLACED[0])
+        _REPLACED.clear()
 
 
-os.register_at_fork(after_in_child=_forget_handlers)
+def _put_back(addresses: tuple[int | None, ...]) -> None:
+    for (callback, _), address in zip(callbacks(), addresses, strict=True):
+        callback.value = address
+
+
+os.register_at_fork(after_in_child=_forget_replaced)
 
 
 @contextmanager
 def silent_simulator() -> Iterator[None]:
-    """Keep MuJoCo from writing its warnings to the terminal and to MUJOCO_LOG.TXT; `MjData.warning` counts them anyway.
+    """Keep MuJoCo from writing its warnings to the terminal and to MUJOCO_LOG.TXT, and from timing its steps.
 
-    Steps call the handler from compiled code, without Python. Until the last thread that asks for silence ends
-    it, the handler is therefore a C function that takes a text and does nothing with it.
+    `MjData.warning` counts warnings anyway. Steps call these callbacks from compiled code, without Python; until the
+    last thread that asks for silence ends it, others stand in for them, see `callbacks`.
     """
-    handler, nothing = warning_handler()
-    with _HANDLERS_LOCK:
-        _HANDLERS.append(handler.value)
-        handler.value = nothing
+    with _REPLACED_LOCK:
+        _REPLACED.append(tuple(callback.value for callback, _ in callbacks()))
+        _put_back(tuple(address for _, address in callbacks()))
     try:
         yield
     finally:
-        with _HANDLERS_LOCK:
-            if _HANDLERS:  # none in a child that was forked within the block, which has begun anew
-                handler.value = _HANDLERS.pop()
+        with _REPLACED_LOCK:
+            if _REPLACED:  # none in a child that was forked within the block, which has begun anew
+                _put_back(_REPLACED.pop())
 
 
 COMPILED = (

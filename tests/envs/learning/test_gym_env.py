@@ -18,7 +18,7 @@ from armperturb.analysis.arm.geometry import hand_jacobian
 from armperturb.cohort import draw_person
 from armperturb.controllers.remnant import HUMAN_NOISE, HumanNoise
 from armperturb.environment import Environment
-from armperturb.envs.lab.simulation import silent_simulator, warning_handler
+from armperturb.envs.lab.simulation import callbacks, silent_simulator
 from armperturb.envs.learning.gym_vector_env import ArmPerturbVectorEnv
 from armperturb.envs.learning.levels import subject_at
 from armperturb.envs.learning.participants import SENSES, action_names
@@ -601,24 +601,24 @@ def test_infos_are_of_those_who_were_reset():
     assert data_equivalence(*resets, exact=True)
 
 
-def test_warnings_of_the_simulator_come_back_after_threads():
-    handler, _ = warning_handler()
-    before = handler.value
+def test_warnings_and_clock_of_the_simulator_come_back_after_threads():
+    before = [callback.value for callback, _ in callbacks()]
     envs = [made(**SHORT) for _ in range(3)]
     with ThreadPoolExecutor(3) as pool:
         list(pool.map(lambda env: path(env, 15, seed=0), envs))
-    assert handler.value == before
+    assert all(before)
+    assert [callback.value for callback, _ in callbacks()] == before
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork on Windows")
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
 def test_a_child_that_is_forked_in_silence_ends_it():
-    handler, _ = warning_handler()
-    before, child, ended_well = handler.value, None, False
+    (handler, _), (clock, _) = callbacks()
+    before, child, ended_well = (handler.value, clock.value), None, False
     try:
         with silent_simulator():
             child = os.fork()
-        ended_well = handler.value == before
+        ended_well = (handler.value, clock.value) == before
     finally:
         if child == 0:
             os._exit(0 if ended_well else 1)
