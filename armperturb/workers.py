@@ -52,6 +52,10 @@ MALLOC = {"MALLOC_MMAP_THRESHOLD_": str(2**24), "MALLOC_TRIM_THRESHOLD_": str(2*
 """Makes glibc return the memory of the largest arrays at once, and keep that of others: fetching it anew from the
 system for every array would double the time of a simulation."""
 
+KEPT_MEMORY = {"LOKY_MAX_MEMORY_LEAK_SIZE": str(2**30)}
+"""How much a process may keep after a unit [byte]; one that keeps more is started anew. With loky's own 300 MB it would
+be after the first units, which load libraries and fill caches, and loading all that again takes seconds."""
+
 DASK_TIMEOUT = 10.0
 """How long a Dask scheduler may take to answer [s]."""
 
@@ -84,7 +88,7 @@ class LocalProcesses:
                 # Libraries with a pool of their own (BLAS) must not take every core in every process.
                 names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
                 threads = str(self.threads(0, self.count))
-                # Arrays come and go: a process that keeps some memory is restarted, which concerns nobody.
+                # A process that keeps much memory is restarted, which concerns nobody.
                 warnings.filterwarnings("ignore", "A worker was restarted", UserWarning)
                 warnings.filterwarnings("ignore", HELPER_DIED, UserWarning)
                 pool_tracker.ensure_running()
@@ -92,7 +96,7 @@ class LocalProcesses:
                     self.count,
                     initializer=_begin,
                     initargs=(os.getpid(), self._modules),
-                    env={**dict.fromkeys(names, threads), **MALLOC},
+                    env={**dict.fromkeys(names, threads), **MALLOC, **KEPT_MEMORY},
                 )
                 for first in self._ahead:
                     self._executor.submit(first)
