@@ -39,7 +39,7 @@ def main() -> None:
         "random phases": lambda lines, amplitudes, starts: starts[0],
         "clipping, fixed level": partial(clip_crest, first_level=0.8, last_level=0.8),
         "clipping, rising level": partial(clip_crest, first_level=0.7, last_level=1.0),
-        "reduce_crest": reduce_crest,
+        "reduce_crest": lambda lines, amplitudes, starts: reduce_crest(lines, amplitudes, starts[np.newaxis])[0],
     }
     starts = [  # as `Multisine.draw` has them
         np.random.default_rng(seed).uniform(-np.pi, np.pi, (2, N_STARTS, CLUSTERS.size)) for seed in range(SEEDS)

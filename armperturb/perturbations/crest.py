@@ -38,46 +38,57 @@ _STEPS = 50
 
 
 def reduce_crest(lines: np.ndarray, amplitudes: np.ndarray, starts: np.ndarray) -> np.ndarray:
-    """Lower the peak of sum_k amplitudes_k cos(2 pi lines_k t + phases_k), t in periods.
+    """Lower the peaks of signals sum_k amplitudes_k cos(2 pi lines_k t + phases_k), t in periods.
 
     Minimises L_p norms of rising order p from the given starts, as Guillaume et al. (1991) do, but with BFGS on the
     logarithm of the norm, as its gradient costs only two Fourier transforms, and drops the worse candidates from order
-    to order. All candidates step together: most of the time of a single one is overhead. Nothing in here calls BLAS
-    (hence neither `@` nor SciPy's `minimize`): its threads cost more than such small arrays do, and may change the
-    last digit.
+    to order. Candidates step together, of all signals once few of each are left: most of the time of a single one is
+    overhead. No signal depends on the others. Nothing in here calls BLAS (hence neither `@` nor SciPy's `minimize`):
+    its threads cost more than such small arrays do, and may change the last digit.
 
     Args:
       lines: cycles per period, distinct whole numbers between 1 and 1023, (line,).
       amplitudes: amplitudes > 0, any unit, (line,).
-      starts: phases to start from [rad], (start, line); `N_STARTS` of them, or fewer for a worse result.
+      starts: phases to start from [rad], (signal, start, line); `N_STARTS` of each signal, or fewer for a worse result.
 
     Returns:
-      Phases [rad], (line,).
+      Phases [rad], (signal, line).
     """
     # An amplitude squared says how much the norm feels the phase; each norm's curvature is a good guess of the next's.
     scale = np.sum(amplitudes**2) / (2.0 * amplitudes**2)
-    phases, inverse_hessian = starts, np.repeat(np.diag(scale)[np.newaxis], len(starts), axis=0)
-    values = np.zeros(len(starts))
+    n_signals, n_starts, n_lines = starts.shape
+    phases = starts.copy()
+    inverse_hessian = np.broadcast_to(np.diag(scale), (n_signals, n_starts, n_lines, n_lines))
+    values = np.zeros((n_signals, n_starts))
     for stage in _STAGES:
-        best = np.argsort(values, kind="stable")[: stage.keep]
-        phases, inverse_hessian, values = _minimise(phases[best], inverse_hessian[best], lines, amplitudes, stage)
-    return phases[0]
+        best = np.argsort(values, axis=1, kind="stable")[:, : stage.keep]
+        phases = np.take_along_axis(phases, best[..., None], axis=1)
+        inverse_hessian = np.take_along_axis(inverse_hessian, best[..., None, None], axis=1)
+        values = np.empty(best.shape)
+        together = max(1, N_STARTS // best.shape[1])
+        for first in range(0, n_signals, together):
+            some = slice(first, first + together)
+            candidates = phases[some].reshape(-1, n_lines)
+            curvature = inverse_hessian[some].reshape(-1, n_lines, n_lines)
+            found, value = _minimise(candidates, curvature, lines, amplitudes, stage)
+            phases[some], values[some] = found.reshape(phases[some].shape), value.reshape(values[some].shape)
+    return phases[:, 0]
 
 
 def _minimise(
     phases: np.ndarray, inverse_hessian: np.ndarray, lines: np.ndarray, amplitudes: np.ndarray, stage: _Stage
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray]:
     """Minimise `_log_norm` by BFGS for all candidates at once.
 
     Args:
       phases: where to start [rad], (candidate, line).
-      inverse_hessian: first guess, (candidate, line, line); overwritten.
+      inverse_hessian: first guess, (candidate, line, line); overwritten by what is found.
       lines: see `reduce_crest`.
       amplitudes: see `reduce_crest`.
       stage: the norm.
 
     Returns:
-      Phases (candidate, line), inverse Hessian (candidate, line, line) and value (candidate,).
+      Phases (candidate, line) and value (candidate,).
     """
     update = np.empty_like(inverse_hessian)
     value, gradient = _log_norm(phases, lines, amplitudes, stage)
@@ -106,7 +117,7 @@ def _minimise(
         inverse_hessian -= np.multiply(step[:, :, np.newaxis], (image / curvature)[:, np.newaxis], out=update)
         direction, slope, full = _descend(inverse_hessian, gradient)
         length = np.where(lower, full, shorter)
-    return phases, inverse_hessian, value
+    return phases, value
 
 
 def _descend(inverse_hessian: np.ndarray, gradient: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -127,7 +138,8 @@ def _log_norm(
     spectrum = np.zeros((len(phases), stage.n_samples // 2 + 1), complex)
     spectrum[:, lines] = phasors / 2.0
     signal = irfft(spectrum, stage.n_samples, norm="forward")
-    signal[:, 1::2] *= stage.weight
+    if stage.weight != 1.0:
+        signal[:, 1::2] *= stage.weight
     peak = np.maximum(signal.max(axis=1), -signal.min(axis=1))
     signal /= peak[:, np.newaxis]
     slope = signal * signal
@@ -135,6 +147,7 @@ def _log_norm(
         slope *= slope
     slope *= signal  # signal^(p-1), up to the factor p
     total = _dot(slope, signal)
-    slope[:, 1::2] *= stage.weight
+    if stage.weight != 1.0:
+        slope[:, 1::2] *= stage.weight
     gradient = (np.conj(phasors) * rfft(slope)[:, lines]).imag / (total * peak)[:, np.newaxis]
     return np.log(peak) + np.log(total / stage.n_samples) / (2 + 2 ** (stage.doublings + 1)), gradient

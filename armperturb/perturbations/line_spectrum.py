@@ -53,7 +53,7 @@ def draw_multisine(
         amplitudes = np.sqrt(2.0 * power[used, axis])
         # Phases must not depend on the scale, not even by rounding.
         relative = amplitudes / np.sqrt(power[used, axis].sum())
-        phases = reduce_crest(lines[used], relative, starts[axis][:, used])
+        (phases,) = reduce_crest(lines[used], relative, starts[axis : axis + 1][..., used])
         spectrum[axis, lines[used]] = amplitudes * np.exp(1j * phases)
     period = irfft(spectrum, n_period, norm="forward").T / 2.0
     return Sampled(force=np.resize(period, (round(duration * DESIGN_RATE), 2)), rate=DESIGN_RATE)

@@ -115,8 +115,7 @@ class Multisine:
         if not crested:
             return multisine
         amplitudes = replace(multisine, rms=1.0).amplitudes  # so that rounding lets no phase depend on rms
-        phases = [reduce_crest(multisine.lines, amplitudes, of_axis) for of_axis in starts]
-        return replace(multisine, phases=np.stack(phases))
+        return replace(multisine, phases=reduce_crest(multisine.lines, amplitudes, starts))
 
     @property
     def clusters(self) -> np.ndarray:
