@@ -332,13 +332,14 @@ def check_recording(recording: xr.Dataset, signals: Iterable[str] | None = None,
         elif last not in recording.coords or tuple(map(str, recording[last].values)) != labels:
             raise ValueError(f"{source}: dimension {last!r} is not labelled; expected {', '.join(labels)}")
         _require_numbers(variable, source)
-        finite = np.isfinite(variable.values)
-        if not finite.all():
-            trial, sample, column = np.argwhere(~finite)[0]
-            raise ValueError(
-                f"{source}: {name} of trial {trial} is {variable.values[trial, sample, column]} at sample {sample}; "
-                "expected finite values"
-            )
+        for trial, values in enumerate(variable.values):  # one at a time, as caches hold
+            finite = np.isfinite(values)
+            if not finite.all():
+                sample, column = np.argwhere(~finite)[0]
+                raise ValueError(
+                    f"{source}: {name} of trial {trial} is {values[sample, column]} at sample {sample}; expected "
+                    "finite values"
+                )
     for name in TEXT_COORDINATES:
         for text in map(str, recording[name].values.flat if name in recording.coords else ()):
             require_name(source, name, text)
