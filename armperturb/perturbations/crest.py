@@ -70,8 +70,8 @@ def reduce_crest(lines: np.ndarray, amplitudes: np.ndarray, starts: np.ndarray) 
             some = slice(first, first + together)
             candidates = phases[some].reshape(-1, n_lines)
             curvature = inverse_hessian[some].reshape(-1, n_lines, n_lines)
-            found, value = _minimise(candidates, curvature, lines, amplitudes, stage)
-            phases[some], values[some] = found.reshape(phases[some].shape), value.reshape(values[some].shape)
+            candidates, value = _minimise(candidates, curvature, lines, amplitudes, stage)
+            phases[some], values[some] = candidates.reshape(phases[some].shape), value.reshape(values[some].shape)
     return phases[:, 0]
 
 

@@ -104,7 +104,7 @@ class Multisine:
           rms: RMS force of each axis over a period [N], > 0.
           reduced: what 15 % of the full band's is left in the reduced band, "amplitude" or "power".
           duration: time that it is applied for [s], > 0.
-          crested: whether to lower the peaks (some 0.12 s per axis); if not, the phases stay uniformly random.
+          crested: whether to lower the peaks (some 0.07 s per axis); if not, the phases stay uniformly random.
 
         Raises:
           TypeError: a value is not a number.

@@ -321,7 +321,7 @@ def _perturbation(
 
 @functools.lru_cache(maxsize=REALISATIONS)
 def _realisation(number: int) -> Multisine:
-    """A multisine of 1 N; lowering its peaks takes a quarter of a second, hence kept."""
+    """A multisine of 1 N; lowering its peaks takes 0.15 s, hence kept."""
     return Multisine.draw(seed=number, rms=1.0)
 
 

@@ -204,7 +204,7 @@ class Protocol:
     def draw_multisines(self, seed: int, only: Collection[int] | None = None) -> dict[int, Multisine]:
         """Number of each planned trial with a multisine to that multisine, of 1 N RMS, which is the same for everyone.
 
-        Lowering the peaks takes some 0.25 s per multisine; they are cached, so that later calls cost nothing.
+        Lowering the peaks takes some 0.15 s per multisine; they are cached, so that later calls cost nothing.
 
         Args:
           seed: of the study.
