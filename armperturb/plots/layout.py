@@ -45,14 +45,15 @@ def arranged_when_drawn(figure: Figure) -> Iterator[None]:
 
 def _arrange(figure: Figure, engine: LayoutEngine, renderer: RendererBase) -> None:
     """Find all places."""
-    axes = [axis for ax in figure.axes for axis in (ax.xaxis, ax.yaxis)]
+    axes = [axis for ax in figure.axes if ax.get_visible() for axis in (ax.xaxis, ax.yaxis)]
     # Each of them would measure all ticks, which its axis does.
     spines = [spine for ax in figure.axes for spine in ax.spines.values() if spine.get_in_layout()]
-    for axis in axes:
+    measured = [_Measured(axis) for axis in axes]
+    for axis, stand_in in zip(axes, measured, strict=True):
         if not axis.get_label_text():
             # Somewhere: otherwise all ticks are measured to find a place for no label.
             axis.set_label_coords(0.5, 0.5)
-        axis.get_tightbbox = _Measured(axis)  # type: ignore[method-assign]
+        axis.get_tightbbox = stand_in  # type: ignore[method-assign]
     for spine in spines:
         spine.set_in_layout(False)
     # Where the canvas has none, Matplotlib would make one, which measures texts and formulas for itself.
@@ -61,6 +62,8 @@ def _arrange(figure: Figure, engine: LayoutEngine, renderer: RendererBase) -> No
         figure.canvas.get_renderer = lambda: renderer  # type: ignore[attr-defined]
     try:
         engine.execute(figure)
+        if any(each.is_outdated() for each in measured):
+            engine.execute(figure)
     finally:
         if is_without:
             del figure.canvas.get_renderer  # type: ignore[attr-defined]
@@ -76,6 +79,11 @@ class _Measured:
     def __init__(self, axis: XAxis | YAxis) -> None:
         self._axis, self._measure = axis, axis.get_tightbbox
         self._is_asked = False
+        self._places: list[float] = []
+
+    def is_outdated(self) -> bool:
+        """Whether there are other ticks than when they were measured, as the axes have become larger or smaller."""
+        return bool(self._places) and list(self._axis.get_majorticklocs()) != self._places
 
     def __call__(self, *args: Any, **options: Any) -> Bbox | None:
         if not self._axis.get_visible():
@@ -88,7 +96,8 @@ class _Measured:
 
     def _ticks(self) -> Bbox:
         """What a spine with ticks takes."""
-        deep = self._axis.get_tick_padding() if len(self._axis.get_majorticklocs()) else 0.0
+        self._places = list(self._axis.get_majorticklocs())
+        deep = self._axis.get_tick_padding() if self._places else 0.0
         side = self._axis.get_ticks_position()
         usual = "bottom" if self._axis.get_label_position() in ("bottom", "top") else "left"
         return _beside(self._axis, side if side in ("top", "right") else usual, deep)

@@ -65,7 +65,18 @@ def pictures():
     return figure
 
 
-FIGURES = (an_admittance, subfigures, nested_grids, legends_and_a_title_beside, pictures)
+def ticks_that_change():
+    """Panels that become taller than they first seem, and then have ticks with longer labels."""
+    figure = new_figure(6.9)
+    for part in figure.subfigures(2, 1):
+        for ax in part.subplots(2, 3, sharex=True, sharey=True).flat:
+            ax.plot(X, np.linspace(0.5, 1.0, len(X)))
+            ax.set(ylabel="[-]", ylim=(0, 1.05), title="title", xlabel="frequency [Hz]")
+            ax.label_outer()
+    return figure
+
+
+FIGURES = (an_admittance, ticks_that_change, subfigures, nested_grids, legends_and_a_title_beside, pictures)
 
 
 def places(figure):
