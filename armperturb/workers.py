@@ -81,27 +81,40 @@ class LocalProcesses:
         self._modules, self._ahead = tuple(modules), tuple(ahead)
         self._executor: ProcessPoolExecutor | None = None
 
+    def start(self) -> None:
+        """Start the processes, if there are none: they load what they need while this one does something else."""
+        with signals_held_back():
+            executor = self._pool()
+            # A task that does nothing would start them as well, but what a process takes up after its first task
+            # counts as a leak, for which it is started anew.
+            if hasattr(executor, "_ensure_executor_running"):  # loky's own method
+                executor._ensure_executor_running()
+
     def submit(self, function: Callable[[Unit], Result], unit: Unit) -> "Future[Result]":
         """Submit a unit, to processes that are started if there are none."""
         with signals_held_back():
-            if self._executor is None:
-                # Libraries with a pool of their own (BLAS) must not take every core in every process.
-                names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-                threads = str(self.threads(0, self.count))
-                # A process that keeps much memory is restarted, which concerns nobody.
-                warnings.filterwarnings("ignore", "A worker was restarted", UserWarning)
-                warnings.filterwarnings("ignore", HELPER_DIED, UserWarning)
-                pool_tracker.ensure_running()
-                self._executor = ProcessPoolExecutor(
-                    self.count,
-                    initializer=_begin,
-                    initargs=(os.getpid(), self._modules),
-                    env={**dict.fromkeys(names, threads), **MALLOC, **KEPT_MEMORY},
-                )
-                for first in self._ahead:
-                    self._executor.submit(first)
-                self._ahead = ()
-            return self._executor.submit(function, unit)
+            return self._pool().submit(function, unit)
+
+    def _pool(self) -> ProcessPoolExecutor:
+        """What runs the processes; signals are to be held back."""
+        if self._executor is None:
+            # Libraries with a pool of their own (BLAS) must not take every core in every process.
+            names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+            threads = str(self.threads(0, self.count))
+            # A process that keeps much memory is restarted, which concerns nobody.
+            warnings.filterwarnings("ignore", "A worker was restarted", UserWarning)
+            warnings.filterwarnings("ignore", HELPER_DIED, UserWarning)
+            pool_tracker.ensure_running()
+            self._executor = ProcessPoolExecutor(
+                self.count,
+                initializer=_begin,
+                initargs=(os.getpid(), self._modules),
+                env={**dict.fromkeys(names, threads), **MALLOC, **KEPT_MEMORY},
+            )
+            for first in self._ahead:
+                self._executor.submit(first)
+            self._ahead = ()
+        return self._executor
 
     def at_once(self) -> int:
         """Two for each process, so that none waits for work."""
@@ -227,10 +240,10 @@ def kept_workers(*modules: str, ahead: Sequence[Callable[[], object]] = ()) -> I
             workers.close()
 
 
-def _local_processes(count: int) -> LocalProcesses:
+def _local_processes(count: int, modules: Sequence[str]) -> LocalProcesses:
     kept_ones = _KEPT.get()
     if kept_ones is None:
-        return LocalProcesses(count)
+        return LocalProcesses(count, modules)
     processes = kept_ones.processes
     if [workers.count for workers in processes] != [count]:
         for workers in processes:
@@ -245,12 +258,13 @@ def _is_kept(workers: Workers) -> bool:
 
 
 @contextmanager
-def workers_for(count: int, dask: str | None) -> Iterator[Workers | None]:
+def workers_for(count: int, dask: str | None, modules: Sequence[str] = ()) -> Iterator[Workers | None]:
     """The workers to compute with; None stands for this process itself.
 
     Args:
       count: of local processes.
       dask: address of a Dask scheduler, which takes the place of local processes.
+      modules: what local processes load when they start, unless they are kept ones (`kept_workers`).
 
     Raises:
       MemoryError: a process may take too little memory to become one.
@@ -259,7 +273,7 @@ def workers_for(count: int, dask: str | None) -> Iterator[Workers | None]:
     """
     if count != 1 and dask is None:
         _require_addresses()
-    workers = DaskCluster(dask) if dask is not None else _local_processes(count) if count != 1 else None
+    workers = DaskCluster(dask) if dask is not None else _local_processes(count, modules) if count != 1 else None
     is_done = False
     try:
         yield workers

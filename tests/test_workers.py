@@ -82,6 +82,20 @@ def process_of(_):
     return os.getpid()
 
 
+def has_loaded(module):
+    return module in sys.modules
+
+
+def test_processes_start_and_load_before_there_is_work():
+    with workers_for(2, None, ["armperturb.person_files"]) as pool:
+        before = set(psutil.Process().children())
+        pool.start()
+        started = {process.pid for process in set(psutil.Process().children()) - before}
+        pool.start()
+        assert set(completed(process_of, range(4), pool)) <= started
+        assert all(completed(has_loaded, ["armperturb.person_files"] * 4, pool))
+
+
 @pytest.mark.slow(reason="starts processes three times")
 def test_kept_workers_are_the_same_until_something_fails():
     def processes(count):

@@ -1,5 +1,6 @@
 """One look for all figures: settings, colours, and how they are saved."""
 
+import gc
 import io
 import re
 import threading
@@ -14,6 +15,7 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 
 from armperturb.files import write_whole
+from armperturb.plots.layout import arranged_when_drawn
 
 WIDTH = 7.6
 """Of every figure of the report [inch], so that text has one size."""
@@ -53,8 +55,23 @@ def in_style() -> Iterator[None]:
 
     Matplotlib's settings belong to the whole process: they are put back afterwards, and threads take turns.
     """
-    with _LOCK, matplotlib.style.context(["default", "armperturb.plots.armperturb"]):
+    with _LOCK, _uncollected(), matplotlib.style.context(["default", "armperturb.plots.armperturb"]):
         yield
+
+
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    """Look for garbage afterwards: a figure is some 100,000 objects in cycles, and no garbage until it is drawn.
+
+    To look at them over and over would take a third of the time.
+    """
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
 
 
 def shades(colour: str, n: int) -> list[str]:
@@ -129,16 +146,7 @@ def svg(figure: Figure) -> bytes:
 
 @in_style()
 def _saved(figure: Figure, **options: Any) -> bytes:
-    _arrange(figure)
     content = io.BytesIO()
-    figure.savefig(content, **options)
+    with arranged_when_drawn(figure):
+        figure.savefig(content, **options)
     return content.getvalue()
-
-
-def _arrange(figure: Figure) -> None:
-    """Let the layout find its places once; left to itself, Matplotlib does it while it draws the figure once more."""
-    engine = figure.get_layout_engine()
-    if engine is not None:
-        engine.execute(figure)
-        # None at all: with a placeholder, savefig would draw everything once more to look for places.
-        figure.set_layout_engine(None)

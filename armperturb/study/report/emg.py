@@ -9,36 +9,30 @@ import numpy as np
 
 from armperturb.analysis.emg.activity import relaxation_sentence
 from armperturb.analysis.emg.reflex import DELAYS
-from armperturb.progress import Progress
 from armperturb.recording_files import load_recording
 from armperturb.study.comparison.cocontraction import cocontraction_tests
 from armperturb.study.recording.folder import ANALYSIS
 from armperturb.study.report.figures import emg as emg_figures
-from armperturb.study.results.cache import CachedResult, Unit, kept_or_computed
+from armperturb.study.results.cache import CachedResult, Unit
 from armperturb.study.results.cases import Case
 from armperturb.study.results.emg import PersonEmg, person_emg
 from armperturb.study.results.mean_admittance import main_conditions
 from armperturb.study.results.study_result import StudyResult
-from armperturb.workers import Workers
 
 CLEAR = 0.001
 """Level at which a muscle counts as responding to rotation [-]."""
 
 
-def emg_of(
-    study: StudyResult, checksums: Mapping[str, str], out: Path, pool: Workers | None, show_progress: bool
-) -> tuple[PersonEmg, ...]:
-    """What everybody's EMG tells, kept in the study folder as results are; empty if nobody has any.
+def emg_units(study: StudyResult, checksums: Mapping[str, str], out: Path) -> list[Unit[PersonEmg]]:
+    """What analyses each person's EMG, if the result is not kept, as results are.
 
     Args:
       study: analysed; its recordings must still be there.
       checksums: file name of each recording to its checksum.
       out: the study folder.
-      pool: workers; None for this process.
-      show_progress: whether to draw progress bars on the terminal.
     """
     case = _shown_case(study)
-    units: list[Unit[Any]] = []
+    units: list[Unit[PersonEmg]] = []
     for name, path in study.recordings.items():
         shown = case.condition if case is not None and case.name == name else None
         cached = CachedResult(
@@ -50,11 +44,13 @@ def emg_of(
         )
         units.append(Unit(cached=cached, run=partial(person_emg, name, path, shown)))
     # Whose figures are shown takes longest, and comes first so that workers end together.
-    units.sort(key=lambda unit: not unit.cached.settings)
-    with Progress("EMG", total=len(units), unit="people", show=show_progress) as bar:
-        of = {person.name: person for person in kept_or_computed(units, pool, bar)}
-    people = tuple(of[name] for name in study.recordings)
-    return people if any(person.levels for person in people) else ()
+    return sorted(units, key=lambda unit: not unit.cached.settings)
+
+
+def emg_people(study: StudyResult, found: Sequence[PersonEmg]) -> tuple[PersonEmg, ...]:
+    """People in the order of the study, of what `emg_units` found; empty if nobody has any EMG."""
+    of = {person.name: person for person in found}
+    return tuple(of[name] for name in study.recordings) if any(person.levels for person in found) else ()
 
 
 def _shown_case(study: StudyResult) -> Case | None:

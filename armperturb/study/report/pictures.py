@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 import armperturb
 from armperturb.archive import digest
 from armperturb.pages.page import Picture
+from armperturb.plots.style import in_style
 from armperturb.study.recording.folder import ANALYSIS
 from armperturb.study.results.cache import CachedResult, Unit
 from armperturb.study.results.cases import Case
@@ -53,6 +54,7 @@ def picture_units(
     return units
 
 
+@in_style()
 def _picture(draw: Callable[[], Figure]) -> Picture | str:
     try:
         figure = draw()

@@ -17,7 +17,7 @@ from armperturb.study.experiments.mechanisms import Yielding, has_law, why_peopl
 from armperturb.study.experiments.moving_shoulder import MovingShoulder, moving_shoulder
 from armperturb.study.recording.folder import ANALYSIS, require_own_results
 from armperturb.study.recording.record import worker_count
-from armperturb.study.report.emg import emg_drawings, emg_of, emg_rows
+from armperturb.study.report.emg import emg_drawings, emg_people, emg_rows, emg_units
 from armperturb.study.report.figures.catalogue import drawings
 from armperturb.study.report.films import film_units
 from armperturb.study.report.findings import excess_rows, finding_rows, findings
@@ -31,10 +31,13 @@ from armperturb.study.report.words import WORDS
 from armperturb.study.results.cache import CachedResult, Unit, kept_or_computed
 from armperturb.study.results.mean_admittance import by_task, main_conditions
 from armperturb.study.results.study_result import StudyResult
-from armperturb.workers import Workers, require_workers, workers_for
+from armperturb.workers import LocalProcesses, require_workers, workers_for
 
 MOST_WORKERS = 8
 """Processes that drawing is shared between at most: each has to load what draws."""
+
+FIRST_STAGE = "mechanisms and EMG"
+"""Label of what is computed before figures can be drawn."""
 
 
 def write_report(
@@ -70,16 +73,23 @@ def write_report(
     """
     require_workers("report", workers)
     require_own_results(out)
-    rows = write_tables(study, out / "tables")
-    tested = effects(study)
-    # Without a condition of the published tables there is nothing to compare.
-    scored = score(study) if any(person.cells for person in study.people) else None
-    if scored is not None:
-        write_score(scored, out / "score")
     checksums = {path.name: checksum(path) for path in study.recordings.values()}
-    with workers_for(worker_count(workers, MOST_WORKERS), None) as pool:
-        yielding, shoulder = _simulated(study, out, pool, show_progress) if simulate else (None, None)
-        emg = emg_of(study, checksums, out, pool, show_progress)
+    with workers_for(worker_count(workers, MOST_WORKERS), None, [__name__]) as pool:
+        if isinstance(pool, LocalProcesses) and not any((out / ANALYSIS).glob("figure-*")):
+            pool.start()  # as they will be needed, and this process is busy first
+        rows = write_tables(study, out / "tables")
+        tested = effects(study)
+        # Without a condition of the published tables there is nothing to compare.
+        scored = score(study) if any(person.cells for person in study.people) else None
+        if scored is not None:
+            write_score(scored, out / "score")
+        simulations = _simulations(study, out) if simulate else {}
+        first = [*simulations.values(), *emg_units(study, checksums, out)]
+        with Progress(FIRST_STAGE, total=len(first), unit="results", show=show_progress) as bar:
+            found = kept_or_computed(first, pool, bar)
+        simulated = dict(zip(simulations, found, strict=False))
+        yielding, shoulder = simulated.get("mechanisms"), simulated.get("moving-shoulder")
+        emg = emg_people(study, found[len(simulations) :])
         every = {**drawings(study, tested, yielding), **emg_drawings(study, emg)}
         draws = {name: draw for name, draw in every.items() if figures is None or name in figures}
         pulses = draws["stills"].args[-1] if "stills" in draws else ()
@@ -121,27 +131,22 @@ def write_report(
     return report
 
 
-def _simulated(
-    study: StudyResult, out: Path, pool: Workers | None, show_progress: bool
-) -> tuple[Yielding | None, MovingShoulder | None]:
-    """What the muscle law of the first person does, and what a moving shoulder; None where there is nothing to show."""
+def _simulations(study: StudyResult, out: Path) -> dict[str, Unit[Any]]:
+    """What a moving shoulder does to the first person and, if it has one, the muscle law; nothing of nobody."""
     if not study.cohort:
-        return None, None
+        return {}
     person = study.cohort[0]
     functions: dict[str, tuple[Callable[..., Any], type]] = {"moving-shoulder": (moving_shoulder, MovingShoulder)}
     if has_law(person):
-        functions = {"mechanisms": (why_people_yield, Yielding), **functions}
+        functions["mechanisms"] = why_people_yield, Yielding
     source = {"person": repr(person), "environment": repr(study.environment), "seed": study.seed}
-    units: list[Unit[Any]] = [
-        Unit(
+    return {
+        kind: Unit(
             cached=CachedResult(path=out / ANALYSIS / f"{kind}.json.gz", kind=kind, result=result, settings=source),
             run=partial(function, person, environment=study.environment, seed=study.seed),
         )
         for kind, (function, result) in functions.items()
-    ]
-    with Progress("mechanisms", total=len(units), unit="units", show=show_progress) as bar:
-        results = dict(zip(functions, kept_or_computed(units, pool, bar), strict=True))
-    return results.get("mechanisms"), results["moving-shoulder"]
+    }
 
 
 def _page(
