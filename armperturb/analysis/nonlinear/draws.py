@@ -12,7 +12,8 @@ import numpy as np
 
 from armperturb.analysis.fit.whittle import LackOfFit
 from armperturb.analysis.nonlinear.noise import OF_DERIVATIVES, OF_PREDICTIONS, NoiseDraws
-from armperturb.analysis.nonlinear.problem import PAIRS_OF_SLOPES, Problem, State
+from armperturb.analysis.nonlinear.problem import PAIRS_OF_SLOPES, Problem
+from armperturb.analysis.nonlinear.simulated import State
 from armperturb.arrays import Array
 
 PAIRS_OF_STRENGTH = 4
@@ -103,14 +104,17 @@ def predict_with_stable_noise(
       closely: whether to look for arms that run away even where no draw moves one far.
     """
     problem.predict_with(draws)
-    if closely or problem.reach(state) > FAR:
+    reach = np.inf if closely else problem.reach(state)
+    if reach > FAR:
         draws = borne(problem, state, draws)
         problem.predict_with(draws)
+        reach = problem.reach(state)
     for _ in range(MOST_WEAKENED):
-        if np.isfinite(problem.reach(state)):
+        if np.isfinite(reach):
             break
         draws = draws._replace(strengths=tuple(WEAKER * strength for strength in draws.strengths))
         problem.predict_with(draws)
+        reach = problem.reach(state)
     return draws
 
 
@@ -148,17 +152,18 @@ def borne(
     """
     attempts = draws.attempted(problem.n_trials).copy()
     most = WILD * problem.sensitivity(state)
-    unchecked = [(source, pair) for source in sources for pair in range(draws.n_pairs)]
-    while unchecked:
-        draws = draws._replace(attempts=attempts.copy())
-        for source in sources:
-            for pair, disturbances in enumerate(problem.disturbed(draws, source)):
-                if (source, pair) in unchecked:
-                    is_wild = problem.sensitivity(state, disturbances) > most
-                    is_wild &= attempts[source, pair] < MOST_ATTEMPTS
-                    attempts[source, pair] += is_wild
-                    if not is_wild.any():
-                        unchecked.remove((source, pair))
+    for source in sources:
+        unchecked = {pair: np.arange(problem.n_trials) for pair in range(draws.n_pairs)}
+        while unchecked:
+            draws = draws._replace(attempts=attempts.copy())
+            pairs = zip(sorted(unchecked), problem.disturbed(draws, source, unchecked), strict=True)
+            for pair, disturbances in pairs:
+                trials = unchecked[pair]
+                is_wild = problem.sensitivity(state, disturbances, trials) > most[trials]
+                again = trials[is_wild & (attempts[source, pair, trials] < MOST_ATTEMPTS)]
+                attempts[source, pair, again] += 1
+                unchecked[pair] = again
+            unchecked = {pair: trials for pair, trials in unchecked.items() if len(trials)}
     return draws
 
 

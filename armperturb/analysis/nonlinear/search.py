@@ -23,7 +23,8 @@ from scipy import linalg
 
 from armperturb.analysis.nonlinear.draws import predict_with_noise, predict_with_stable_noise, run_away
 from armperturb.analysis.nonlinear.noise import NoiseDraws
-from armperturb.analysis.nonlinear.problem import Normal, Problem, State
+from armperturb.analysis.nonlinear.problem import Normal, Problem
+from armperturb.analysis.nonlinear.simulated import State
 from armperturb.arrays import Array
 
 MAX_STEPS = 40
@@ -38,9 +39,12 @@ NO_GAIN = 0.05
 likelihood rough on the scale of a few tenths of a standard error, so that a search may go on much longer without any
 change that matters."""
 
-MAX_REFERENCES, MAX_EXPECTATIONS = 16, 200
+MOST_NEARING, MOST_FINAL, MAX_EXPECTATIONS = 4, 16, 200
 """Most times that each of the last two stages takes spectrum and derivatives anew, and steps of expectation
-maximisation in each of its steps."""
+maximisation in each of its steps. Coarse derivatives lead no nearer after a few times."""
+
+PAIRS_OF_NEARING = 2
+"""Pairs of draws over which the last but one stage averages derivatives."""
 
 FAR = 0.3
 """Change of a coordinate from which on these stages take spectrum and derivatives anew [-]."""
@@ -195,16 +199,17 @@ class Search:
     def _finish(self) -> tuple[str, list[Array]]:
         """One of the last two stages; returns how it ended, and with which derivatives."""
         problem, is_coarse = self._problem, self._at.stage == "nearing"
-        for _ in range(MAX_REFERENCES):
+        n_references, n_draws = (MOST_NEARING, 2 * PAIRS_OF_NEARING) if is_coarse else (MOST_FINAL, None)
+        for _ in range(n_references):
             if is_coarse and not problem.can_be_coarse(self._at.reference):
                 return "", []
             predicted = problem.predict([self._at.reference])[0]
             problem.weigh(self._at.reference, problem.residual(predicted))
-            slopes = problem.slopes(self._at.reference, coarse=is_coarse)
+            slopes = problem.slopes(self._at.reference, n_draws=n_draws, coarse=is_coarse)
             if self._calmed(slopes):
                 predicted = problem.predict([self._at.reference])[0]
                 problem.weigh(self._at.reference, problem.residual(predicted))
-                slopes = problem.slopes(self._at.reference, coarse=is_coarse)
+                slopes = problem.slopes(self._at.reference, n_draws=n_draws, coarse=is_coarse)
             if self._distance():
                 predicted = problem.predict([self._at.state])[0]
             message = self._descend(slopes, predicted)
@@ -212,7 +217,7 @@ class Search:
                 return message, slopes
             self._at = replace(self._at, reference=self._at.state)
             self._keep()
-        return f"not converged after {MAX_REFERENCES} new sets of weights and derivatives", slopes
+        return f"not converged after {n_references} new sets of weights and derivatives", slopes
 
     def _calmed(self, slopes: list[Array]) -> bool:
         """Whether there was noise with which an arm runs away at the reference; it is drawn anew."""

@@ -8,8 +8,9 @@ from armperturb.analysis.nonlinear.checkpoint import digest_of, load_position, s
 from armperturb.analysis.nonlinear.estimate import free_parameters
 from armperturb.analysis.nonlinear.model import Model
 from armperturb.analysis.nonlinear.noise import NoiseDraws
-from armperturb.analysis.nonlinear.problem import Problem, State
+from armperturb.analysis.nonlinear.problem import Problem
 from armperturb.analysis.nonlinear.search import Position
+from armperturb.analysis.nonlinear.simulated import State
 from armperturb.subject import RELAX
 
 

@@ -19,8 +19,9 @@ from armperturb.analysis.nonlinear.estimate import fit, free_parameters, nearest
 from armperturb.analysis.nonlinear.model import Model, true_values
 from armperturb.analysis.nonlinear.noise import NoiseDraws
 from armperturb.analysis.nonlinear.prediction import predict_pulses, predict_pulses_linearly
-from armperturb.analysis.nonlinear.problem import Normal, Problem, State
+from armperturb.analysis.nonlinear.problem import Normal, Problem
 from armperturb.analysis.nonlinear.result import remarks_on
+from armperturb.analysis.nonlinear.simulated import State
 from armperturb.analysis.nonlinear.start import best_start
 from armperturb.analysis.nonlinear.trials import fitted_conditions
 from armperturb.analysis.results import PARAMETER_COLUMNS
