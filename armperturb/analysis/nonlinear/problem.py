@@ -29,9 +29,6 @@ from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
 from armperturb.subject import Subject
 
-PAIRS_OF_SLOPES = 1
-"""Pairs of draws over which derivatives are averaged during the search: they need less accuracy than residuals."""
-
 WIDE = 1e4
 """SD of the prior of all coordinates [-]: it matters only where the trials say nothing of a parameter."""
 
@@ -124,44 +121,11 @@ class Problem(SimulatedTrials):
         of_movement = float(np.sum(self.costs(state, predicted) + self.log_determinants(state)))
         return of_movement + self._emg.objective(self._reflexes(state))
 
-    def slopes(
-        self, state: State, *, n_draws: int | None = None, coarse: bool = False, of_predictions: bool = False
-    ) -> list[Array]:
-        """Derivatives of white predictions: of each trial (parameters and own effects, number).
-
-        They are zero where an arm diverges, so that such a trial says nothing of where to go.
-
-        Args:
-          state: where they are taken.
-          n_draws: how many draws they are averaged over; by default all.
-          coarse: whether simulations take longer steps.
-          of_predictions: whether draws are those that predictions are averaged over, instead of draws of their own.
-        """
-        n, along = len(state.point), self.parameters.along_effects(state.point)
-        # What an effect does is simulated only where no parameters do the same.
-        simulated = sorted({int(row) for each in along.values() for row in np.flatnonzero(np.isnan(each).any(axis=1))})
-        steps = np.append(self._steps(state), np.full(len(simulated), COORDINATE_STEP))
-        states = [state._replace(point=state.point + step) for step in np.diag(steps[:n])]
-        for effect in simulated:
-            moved = [places.start + effect for places in self.effects_of if places.start + effect < places.stop]
-            effects = state.effects.copy()
-            effects[moved] += COORDINATE_STEP
-            states.append(state._replace(effects=effects))
-        averaged = self._averaged if of_predictions else self._coarse if coarse else self._derived
-        predicted = self.predict([state, *states], averaged[:n_draws])
-        if coarse and not np.isfinite(predicted).all():  # the step is too long for this arm
-            return self.slopes(state, n_draws=n_draws)
-        changes = (predicted[1:] - predicted[0]) / steps[:, None, None, None]
-        changes[:, ~np.isfinite(changes).all(axis=(0, 2, 3))] = 0.0
-        slopes = []
+    def slopes(self, state: State, *, noisy: bool = False) -> list[Array]:
+        """Derivatives of white predictions, see `derivatives`: of each trial (parameters and own effects, number)."""
+        derivatives, slopes = self.derivatives(state, noisy=noisy), []
         for rows, noise in zip(self.rows, self.noises, strict=True):
-            for trial in range(rows.start, rows.stop):
-                white = noise.white(changes[:, trial])
-                of_effects = [
-                    white[n + simulated.index(effect)] if effect in simulated else weights @ white[:n]
-                    for effect, weights in enumerate(along[self.tasks[trial]])
-                ]
-                slopes.append(np.array([*white[:n], *of_effects]))
+            slopes += [noise.white(of_trial) for of_trial in derivatives[rows]]
         return slopes
 
     def gathered(self, state: State, parts: Sequence[Array]) -> Array:
@@ -174,13 +138,13 @@ class Problem(SimulatedTrials):
         return total
 
     def normal(self, state: State, predicted: Array, slopes: Sequence[Array] | None = None) -> Normal:
-        """Gauss-Newton equations, by default with coarse derivatives from the first draws."""
-        slopes = slopes or self.slopes(state, n_draws=2 * PAIRS_OF_SLOPES, coarse=True)
+        """Gauss-Newton equations, by default with the `slopes` there."""
+        slopes = slopes or self.slopes(state)
         white, n = self.white(self.residual(predicted)), len(state.point)
         slope = self.gathered(state, [columns @ left for columns, left in zip(slopes, white, strict=True)])
         slope[n:] -= self.prior(state)[n:] * state.effects
         of_emg = self.emg_normal(state)
-        return Normal(self._information(state, slopes, of_emg), slope + of_emg.slope)
+        return Normal(self.information(state, slopes, of_emg), slope + of_emg.slope)
 
     def unexplained(
         self, state: State, slopes: Sequence[Array], records: Iterable[Sequence[Array]]
@@ -192,7 +156,7 @@ class Problem(SimulatedTrials):
           slopes: from `slopes`.
           records: any number of them, of each trial (number,).
         """
-        n, information, left = len(state.point), self._information(state, slopes), []
+        n, information, left = len(state.point), self.information(state, slopes), []
         for white in records:
             score = self.gathered(state, [a @ b for a, b in zip(slopes, white, strict=True)])
             step = np.linalg.solve(information, score)
@@ -204,7 +168,7 @@ class Problem(SimulatedTrials):
             )
         return left
 
-    def _information(self, state: State, slopes: Sequence[Array], of_emg: Normal | None = None) -> Array:
+    def information(self, state: State, slopes: Sequence[Array], of_emg: Normal | None = None) -> Array:
         """Of trials, EMG and prior, were the noise white, (unknown, unknown)."""
         of_emg = of_emg or self.emg_normal(state)
         of_movement = self.gathered(state, [columns @ columns.T for columns in slopes])

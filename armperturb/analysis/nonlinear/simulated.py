@@ -12,16 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from armperturb.analysis.nonlinear.model import EFFECTS, Parameters, person
-from armperturb.analysis.nonlinear.noise import OF_DERIVATIVES, OF_PREDICTIONS, Noise, NoiseDraws
+from armperturb.analysis.nonlinear.noise import Noise, NoiseDraws
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array, Indices
 from armperturb.planar_arm.lanes import lane_table
 from armperturb.planar_arm.simulation import Disturbances
 from armperturb.subject import Subject
-
-COARSE_STEP = 5e-3
-"""Longest step of the simulation from which coarse derivatives are taken [s]. They are off by some 15 %, which costs a
-search a step or two, and take half the time."""
 
 COORDINATE_STEP = 1e-4
 """Change of a coordinate in finite differences [-]."""
@@ -110,7 +106,7 @@ class SimulatedTrials:
             for trials in self.sets
         ]
         self._quiet = Disturbances(self.perturbation, self._rate, self._threads)
-        self._average_over((self._quiet,), (self._quiet,))
+        self._averaged: tuple[Disturbances, ...] = (self._quiet,)
 
     @property
     def is_noisy(self) -> bool:
@@ -118,44 +114,14 @@ class SimulatedTrials:
         return len(self._averaged) > 1
 
     def predict_with(self, draws: NoiseDraws) -> None:
-        """From now on predict the mean response in the presence of these draws of the noise.
-
-        Derivatives are those of the mean response in the presence of as many other draws.
-        """
-        predicted, derived = (
-            tuple(disturbances for pair in self.disturbed(draws, source) for disturbances in pair)
-            for source in (OF_PREDICTIONS, OF_DERIVATIVES)
-        )
-        self._average_over(predicted, derived)
-
-    def _average_over(self, predicted: tuple[Disturbances, ...], derived: tuple[Disturbances, ...]) -> None:
-        self._averaged, self._derived = predicted, derived
-        self._coarse = tuple(each.coarser(COARSE_STEP) for each in derived)
-
-    def can_be_coarse(self, state: State) -> bool:
-        """Whether coarse derivatives take less time than others, and their step is short enough for the arms."""
-        return self._coarse != self._derived and bool(np.isfinite(self.predict([state], self._coarse)).all())
-
-    def reach(self, state: State) -> float:
-        """Largest displacement of a trial in the presence of a draw, over the largest that was recorded of it [-].
-
-        Infinite if an arm diverges.
-        """
-        recorded = np.abs(self._observed).max(axis=(1, 2))
-        far = [
-            np.abs(self.predict([state], (each,))[0]).max(axis=(1, 2)) / recorded
-            for each in (*self._averaged, *self._derived)
-        ]
-        return float(np.nan_to_num(far, nan=np.inf).max())
+        """From now on predict the mean response in the presence of these draws of the noise."""
+        self._averaged = tuple(disturbances for pair in self.disturbed(draws) for disturbances in pair)
 
     def disturbed(
-        self, draws: NoiseDraws, source: int = OF_PREDICTIONS, pairs: Container[int] | None = None
+        self, draws: NoiseDraws, pairs: Container[int] | None = None
     ) -> Iterator[tuple[Disturbances, Disturbances]]:
-        """The disturbances plus and minus each draw of the noise, by default of all pairs.
-
-        Another source has other draws of the same noise.
-        """
-        for pair, standard in enumerate(draws.standard(source, self.perturbation.shape)):
+        """The disturbances plus and minus each draw of the noise, by default of all pairs."""
+        for pair, standard in enumerate(draws.standard(self.perturbation.shape)):
             if pairs is not None and pair not in pairs:
                 continue
             torque = np.zeros_like(self.perturbation)
@@ -238,6 +204,39 @@ class SimulatedTrials:
             total += response
         total /= len(averaged)
         return np.asarray(total[place])
+
+    def derivatives(self, state: State, *, noisy: bool = False) -> list[Array]:
+        """Derivatives of the predictions of each trial [m], (parameters and own effects, time, axis).
+
+        They are zero where an arm diverges, so that such a trial says nothing of where to go.
+
+        Args:
+          state: where they are taken.
+          noisy: whether they are those of the mean response in the presence of the noise that is predicted with.
+        """
+        n, along = len(state.point), self.parameters.along_effects(state.point)
+        # What an effect does is simulated only where no parameters do the same.
+        simulated = sorted({i for each in along.values() for i, weights in enumerate(each) if weights is None})
+        steps = np.append(self._steps(state), np.full(len(simulated), COORDINATE_STEP))
+        states = [state._replace(point=state.point + step) for step in np.diag(steps[:n])]
+        for effect in simulated:
+            moved = [places.start + effect for places in self.effects_of if places.start + effect < places.stop]
+            effects = state.effects.copy()
+            effects[moved] += COORDINATE_STEP
+            states.append(state._replace(effects=effects))
+        predicted = self.predict([state, *states], self._averaged if noisy else (self._quiet,))
+        changes = (predicted[1:] - predicted[0]) / steps[:, None, None, None]
+        changes[:, ~np.isfinite(changes).all(axis=(0, 2, 3))] = 0.0
+        derivatives = []
+        for of_trial, task in zip(changes.swapaxes(0, 1), self.tasks, strict=True):
+            of_effects = [
+                of_trial[n + simulated.index(effect)]
+                if weights is None or effect in simulated
+                else np.tensordot(weights, of_trial[:n], 1)
+                for effect, weights in enumerate(along[task])
+            ]
+            derivatives.append(np.array([*of_trial[:n], *of_effects]))
+        return derivatives
 
     def limit_cycles(self, state: State) -> tuple[str, ...]:
         """Conditions in which an arm still moves a while after the last push: a self-sustained oscillation.
