@@ -148,8 +148,8 @@ class Search:
         if self._at.stage == "drawn-anew":
             self._approach()
             self._enter("final", self._at.draws)
+        self._calmed()
         for _ in range(MOST_CALMED):
-            self._calmed()
             message, slopes = self._finish()
             if not self._calmed():
                 break

@@ -23,7 +23,7 @@ def state(seed):
 def position():
     rng = np.random.default_rng(2)
     roots = tuple(rng.standard_normal((n, 2, 2)) + 1j * rng.standard_normal((n, 2, 2)) for n in (3, 5))
-    draws = NoiseDraws(roots, (rng.random(3), rng.random(5)), 6, 7, rng.integers(0, 3, (2, 6, 4)))
+    draws = NoiseDraws(roots, (rng.random(3), rng.random(5)), 6, 7, rng.integers(0, 3, (6, 4)))
     return Position(stage="final", state=state(0), reference=state(1), damping=0.3, n_steps=9, draws=draws)
 
 
