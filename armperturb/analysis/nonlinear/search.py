@@ -148,10 +148,10 @@ class Search:
         if self._at.stage == "drawn-anew":
             self._approach()
             self._enter("final", self._at.draws)
-        self._calmed()
+        self._calmed(self._at.state)
         for _ in range(MOST_CALMED):
             message, slopes = self._finish()
-            if not self._calmed():
+            if not self._calmed(self._at.state):
                 break
         return self._at, message, slopes
 
@@ -210,18 +210,18 @@ class Search:
             self._keep()
         return f"not converged after {MAX_REFERENCES} new sets of weights and derivatives", slopes
 
-    def _calmed(self) -> bool:
-        """Whether there was noise with which an arm runs away where the search is; it is drawn anew."""
-        before, state = self._at.draws, self._at.state
+    def _calmed(self, at: State) -> bool:
+        """Whether there was noise with which an arm runs away at a state; it is drawn anew."""
+        before = self._at.draws
         if before is None:
             return False
-        draws = predict_with_stable_noise(self._problem, state, before)
+        draws = predict_with_stable_noise(self._problem, at, before)
         n_trials = self._problem.n_trials
         if draws.strengths is before.strengths and np.array_equal(
             draws.attempted(n_trials), before.attempted(n_trials)
         ):
             return False
-        self._at = replace(self._at, draws=draws, reference=state)
+        self._at = replace(self._at, draws=draws, reference=self._at.state)
         self._keep()
         return True
 
@@ -247,7 +247,7 @@ class Search:
                     if ahead.gain < gain:
                         break
             else:  # no part of the step leaves less to be gained
-                if self._distance():
+                if self._distance() or self._calmed(maximum):
                     return ""
                 return CONVERGED if step < STALLED_STEP else "no step leads nearer to the maximum"
             self._count(problem.cost(moved, answer), part * step)
