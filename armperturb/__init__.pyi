@@ -75,3 +75,5 @@ from .study.validation.validate import validate as validate
 from .subject import POSITION as POSITION
 from .subject import RELAX as RELAX
 from .subject import Subject as Subject
+
+__version__: str

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import armperturb
 from armperturb import POSITION, Environment, Multisine, MuscleLaw, Strap, Subject, cli, load_recording
 from armperturb.controllers.lanes import control_memory
 from armperturb.perturbations import Perturbation
@@ -178,6 +179,7 @@ def test_citation_is_of_this_version():
     lines = (ROOT / "CITATION.cff").read_text(encoding="utf-8").splitlines()
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert {"cff-version: 1.2.0", f"version: {project['version']}", f"license: {project['license']}"} <= set(lines)
+    assert armperturb.__version__ == project["version"]
 
 
 EQUATION = re.compile(r"\$\$(.+?)\$\$|\$([^$\n]+)\$", re.S)

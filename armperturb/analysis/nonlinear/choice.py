@@ -20,8 +20,9 @@ from armperturb.analysis.nonlinear.estimate import N_PAIRS, fit, free_parameters
 from armperturb.analysis.nonlinear.model import Law, Model, bounds, stem
 from armperturb.analysis.nonlinear.noise import NoiseDraws
 from armperturb.analysis.nonlinear.prediction import PulsePrediction, facts_of, predict_pulses
-from armperturb.analysis.nonlinear.problem import Problem, State
+from armperturb.analysis.nonlinear.problem import Problem
 from armperturb.analysis.nonlinear.result import NonlinearEstimate
+from armperturb.analysis.nonlinear.simulated import State
 from armperturb.analysis.results import Description, Result
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array

@@ -11,8 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from armperturb.analysis.fit.whittle import LackOfFit
-from armperturb.analysis.nonlinear.noise import OF_DERIVATIVES, OF_PREDICTIONS, NoiseDraws
-from armperturb.analysis.nonlinear.problem import PAIRS_OF_SLOPES, Problem, State
+from armperturb.analysis.nonlinear.noise import NoiseDraws
+from armperturb.analysis.nonlinear.problem import Problem
+from armperturb.analysis.nonlinear.simulated import State
 from armperturb.arrays import Array
 
 PAIRS_OF_STRENGTH = 4
@@ -29,15 +30,11 @@ WILD = 8.0
 bears makes it twice as much; beyond that the arm runs away, by several times what any trial did, and its derivatives
 are up to 10^5 times as large."""
 
-FAR = 2.2
-"""How far noise may move an arm, over the largest movement that was recorded of a trial, until it is looked at more
-closely [-]."""
-
 MOST_ATTEMPTS = 20
 """How often the noise of a trial is drawn anew in a search."""
 
-LEAST_AGREED = 0.25
-"""Least share of the information that counts, see `agreed_information` [-]: errors are twice as large."""
+LEAST_SHARE = 0.25
+"""Least share of the information without noise that counts, see `moved_by_score` [-]."""
 
 TINY = 1e-12
 """Least eigenvalue of a scaled information matrix, over the largest [-]."""
@@ -75,7 +72,7 @@ def predict_with_noise(problem: Problem, state: State, residual: Array, n_pairs:
       n_pairs: of draws.
       seed: of the draws.
     """
-    slopes = problem.slopes(state, n_draws=2 * PAIRS_OF_SLOPES)
+    slopes = problem.slopes(state)
     roots = tuple(noise.root for noise in problem.noises)
     strengths = tuple(np.ones(len(root)) for root in roots)
     first = problem.odd_and_even(state, NoiseDraws(roots, strengths, PAIRS_OF_STRENGTH, seed))
@@ -91,23 +88,18 @@ def predict_with_noise(problem: Problem, state: State, residual: Array, n_pairs:
     return predict_with_stable_noise(problem, state, NoiseDraws(roots, strengths, n_pairs, seed))
 
 
-def predict_with_stable_noise(
-    problem: Problem, state: State, draws: NoiseDraws, *, closely: bool = False
-) -> NoiseDraws:
+def predict_with_stable_noise(problem: Problem, state: State, draws: NoiseDraws) -> NoiseDraws:
     """Let a problem predict in the presence of draws that all arms bear, and return those.
 
     Args:
       problem: predicts with the draws from now on.
       state: at which arms must bear them.
       draws: as strong as they are wanted.
-      closely: whether to look for arms that run away even where no draw moves one far.
     """
+    draws = borne(problem, state, draws)
     problem.predict_with(draws)
-    if closely or problem.reach(state) > FAR:
-        draws = borne(problem, state, draws)
-        problem.predict_with(draws)
     for _ in range(MOST_WEAKENED):
-        if np.isfinite(problem.reach(state)):
+        if np.isfinite(problem.predict([state])).all():
             break
         draws = draws._replace(strengths=tuple(WEAKER * strength for strength in draws.strengths))
         problem.predict_with(draws)
@@ -115,27 +107,18 @@ def predict_with_stable_noise(
 
 
 def run_away(alike: Sequence[Array]) -> bool:
-    """Whether derivatives of a trial, or its answer to a draw, are so much larger than others that an arm may run away.
-
-    Zeros stand for an arm that diverges (`Problem.slopes`). Trials of another kind may stand out as well.
-    """
+    """Whether an answer to a draw is so much larger than others that the arm may run away."""
     sizes = np.array([np.linalg.norm(each) for each in alike])
-    return bool((sizes > WILD * np.median(sizes)).any() or (sizes == 0.0).any())
+    return bool((sizes > WILD * np.median(sizes)).any())
 
 
 def is_borne(problem: Problem, state: State, draws: NoiseDraws) -> bool:
     """Whether no arm runs away in the presence of any draw."""
     most = WILD * problem.sensitivity(state)
-    return all(
-        bool((problem.sensitivity(state, disturbances) <= most).all())
-        for source in (OF_PREDICTIONS, OF_DERIVATIVES)
-        for disturbances in problem.disturbed(draws, source)
-    )
+    return all(bool((problem.sensitivity(state, pair) <= most).all()) for pair in problem.disturbed(draws))
 
 
-def borne(
-    problem: Problem, state: State, draws: NoiseDraws, sources: Sequence[int] = (OF_PREDICTIONS, OF_DERIVATIVES)
-) -> NoiseDraws:
+def borne(problem: Problem, state: State, draws: NoiseDraws) -> NoiseDraws:
     """The draws, with the noise of a trial drawn anew where it makes the arm run away.
 
     The trials that were recorded did not run away, so that noise is wanted given that they do not.
@@ -144,21 +127,18 @@ def borne(
       problem: what is fitted.
       state: of the unknowns.
       draws: as they come.
-      sources: of draws that are looked at.
     """
     attempts = draws.attempted(problem.n_trials).copy()
     most = WILD * problem.sensitivity(state)
-    unchecked = [(source, pair) for source in sources for pair in range(draws.n_pairs)]
+    unchecked = {pair: np.arange(problem.n_trials) for pair in range(draws.n_pairs)}
     while unchecked:
         draws = draws._replace(attempts=attempts.copy())
-        for source in sources:
-            for pair, disturbances in enumerate(problem.disturbed(draws, source)):
-                if (source, pair) in unchecked:
-                    is_wild = problem.sensitivity(state, disturbances) > most
-                    is_wild &= attempts[source, pair] < MOST_ATTEMPTS
-                    attempts[source, pair] += is_wild
-                    if not is_wild.any():
-                        unchecked.remove((source, pair))
+        for pair, disturbances in zip(sorted(unchecked), problem.disturbed(draws, unchecked), strict=True):
+            trials = unchecked[pair]
+            is_wild = problem.sensitivity(state, disturbances, trials) > most[trials]
+            unchecked[pair] = trials[is_wild & (attempts[pair, trials] < MOST_ATTEMPTS)]
+            attempts[pair, unchecked[pair]] += 1
+        unchecked = {pair: trials for pair, trials in unchecked.items() if len(trials)}
     return draws
 
 
@@ -178,7 +158,7 @@ def simulate_deviations(problem: Problem, state: State, draws: NoiseDraws, n_ave
     if len(halves) < draws.n_pairs or any(
         run_away(of_trial) for of_trial in zip(*(odd for odd, _ in halves), strict=True)
     ):
-        halves = _halves(problem, state, borne(problem, state, draws, (OF_PREDICTIONS,)))
+        halves = _halves(problem, state, borne(problem, state, draws))
     if len(halves) < 2:
         return Deviations([], [])
     odd = [np.array([half[trial] for half, _ in halves]) for trial in range(problem.n_trials)]
@@ -197,30 +177,28 @@ def _halves(problem: Problem, state: State, draws: NoiseDraws) -> list[tuple[lis
     ]
 
 
-def agreed_information(problem: Problem, state: State, slopes: Sequence[Array], others: Sequence[Array]) -> Array:
-    """Information upon which derivatives of two sets of draws agree, (unknown, unknown).
+def moved_by_score(problem: Problem, state: State, slopes: Sequence[Array], answers: Sequence[Array]) -> Array:
+    """How far the solution moves per change of the score, `Normal.slope`, (unknown, unknown).
 
-    What a few draws leave in derivatives passes for information where these are squared, and not where they are
-    multiplied by those of other draws. In directions in which the products tell too little to be trusted, a share
-    `LEAST_AGREED` of the squares counts.
+    The score weighs residuals by derivatives without noise, and predictions move by those in its presence. In
+    directions in which the two have little in common, a share `LEAST_SHARE` of what the former alone would tell counts.
 
     Args:
       problem: what was fitted.
       state: where the fit is.
-      slopes: from `Problem.slopes`, over some draws.
-      others: over other draws; the same ones count as they are.
+      slopes: from `Problem.slopes`.
+      answers: the noisy ones.
     """
     known = problem.emg_normal(state).matrix + np.diag(problem.prior(state))
-    pairs = list(zip(slopes, others, strict=True))
-    squares = known + 0.5 * problem.gathered(state, [a @ a.T + b @ b.T for a, b in pairs])
-    products = known + 0.5 * problem.gathered(state, [a @ b.T + b @ a.T for a, b in pairs])
-    scale = np.sqrt(np.diag(squares))
-    power, directions = np.linalg.eigh(squares / np.outer(scale, scale))
-    root = directions * np.sqrt(np.maximum(power, TINY * power[-1]))
-    whole = np.linalg.solve(root, np.linalg.solve(root, products / np.outer(scale, scale)).T)
-    share, directions = np.linalg.eigh(0.5 * (whole + whole.T))
-    half = scale[:, None] * (root @ directions) * np.sqrt(np.clip(share, LEAST_AGREED, 1.0))
-    return np.asarray(half @ half.T)
+    alone, mixed = (
+        known + problem.gathered(state, [a @ b.T for a, b in zip(slopes, others, strict=True)])
+        for others in (slopes, answers)
+    )
+    scale = np.sqrt(np.diag(alone))
+    power, directions = np.linalg.eigh(alone / np.outer(scale, scale))
+    to_white = directions / np.sqrt(np.maximum(power, TINY * power[-1])) / scale[:, None]
+    left, share, right = np.linalg.svd(to_white.T @ mixed @ to_white)
+    return np.asarray(to_white @ (right.T / np.maximum(share, LEAST_SHARE)) @ left.T @ to_white.T)
 
 
 def score_variance(problem: Problem, state: State, slopes: Sequence[Array], deviations: Deviations) -> Array:

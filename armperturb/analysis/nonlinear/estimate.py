@@ -16,10 +16,9 @@ import numpy as np
 from armperturb.analysis.nonlinear.checkpoint import digest_of, load_position, save_position
 from armperturb.analysis.nonlinear.draws import (
     Deviations,
-    agreed_information,
     is_borne,
     lack_of_fit,
-    run_away,
+    moved_by_score,
     score_variance,
     simulate_deviations,
 )
@@ -27,7 +26,7 @@ from armperturb.analysis.nonlinear.model import EFFECTS, Model, Parameters, valu
 from armperturb.analysis.nonlinear.noise import NoiseDraws
 from armperturb.analysis.nonlinear.problem import Problem
 from armperturb.analysis.nonlinear.result import NonlinearEstimate, remarks_on
-from armperturb.analysis.nonlinear.search import CONVERGED, MAX_STEPS, Position, Search, inverse
+from armperturb.analysis.nonlinear.search import CONVERGED, MAX_STEPS, Position, Search
 from armperturb.analysis.nonlinear.spindle_emg import EmgInFit, digests
 from armperturb.analysis.nonlinear.start import best_start, start_values
 from armperturb.analysis.trials import ConditionTrials
@@ -173,8 +172,8 @@ def _estimate(
             "are not valid"
         )
     predicted = problem.predict([state])[0]
-    others = problem.slopes(state, of_predictions=True) if problem.is_noisy else slopes
-    covariance = inverse(agreed_information(problem, state, slopes, others))
+    answers = problem.slopes(state, noisy=True) if problem.is_noisy else slopes
+    moved, variance = moved_by_score(problem, state, slopes, answers), problem.information(state, slopes)
     roots = tuple(noise.root for noise in problem.noises)
     deviations, strengths = Deviations([], []), tuple(np.ones(len(root)) for root in roots)
     if position.draws is not None:
@@ -182,14 +181,13 @@ def _estimate(
         draws = NoiseDraws(roots, strengths, n_pairs_of_errors, seed)
         deviations = simulate_deviations(problem, state, draws, position.draws.n_pairs)
         if deviations.odd:
-            covariance = covariance @ score_variance(problem, state, slopes, deviations) @ covariance
+            variance = score_variance(problem, state, slopes, deviations)
         else:
             message = "every noise draw makes the simulation diverge; confidence intervals are not valid"
-    stand_out = run_away(slopes) or run_away(others)
-    if stand_out and position.draws is not None and not is_borne(problem, state, position.draws):
-        message = "in some trials the arm runs away under the person's noise; confidence intervals are not valid"
+        if not is_borne(problem, state, position.draws):
+            message = "in some trials the arm runs away under the person's noise; confidence intervals are not valid"
     tested = lack_of_fit(problem, state, predicted, slopes, deviations)
-    covariance = covariance[:n, :n]
+    covariance = (moved @ variance @ moved.T)[:n, :n]
     error = np.sqrt(np.diag(covariance))
     near = np.minimum(state.point - parameters.lower, parameters.upper - state.point) < AT_BOUND
     problem.weigh(state, problem.residual(predicted))

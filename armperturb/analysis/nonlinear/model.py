@@ -274,6 +274,28 @@ class Parameters:
             for name, place in self._of_task[task]
         }
 
+    def along_effects(self, point: Array) -> dict[str, list[Array | None]]:
+        """Task to the changes of coordinates that move a person as each effect does, per change, (parameter,).
+
+        None where there are none: a value that the effect multiplies is fixed, or tied to one that it does not.
+        """
+        return {task: [self._along(task, effect, point) for effect in EFFECTS[task]] for task in self.bodies}
+
+    def _along(self, task: str, effect: str, point: Array) -> Array | None:
+        multiplied = ("k", SHORT_RANGE[0]) if effect == "k" else (effect,)
+        along = np.full(len(point), np.nan)
+        for name, place in self._of_task[task]:
+            is_multiplied = stem(name) in multiplied
+            if isinstance(place, int):
+                value = value_at(name, point[place])
+                change = value / value_per_coordinate(name, value) if is_multiplied else 0.0
+                if not np.isnan(along[place]) and along[place] != change:
+                    return None
+                along[place] = change
+            elif is_multiplied and place:
+                return None
+        return np.nan_to_num(along)
+
     def person(self, task: str, point: Array, condition: str) -> Subject:
         """The person in a condition, see `person`."""
         return person(self.bodies[task], self.model.law, self.values(task, point), condition, {})

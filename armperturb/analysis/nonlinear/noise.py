@@ -30,9 +30,6 @@ hides the person's in the records. It hardly moves the handle, but the joints, a
 LEAST_SURE = 0.5
 """Least value of `Noise.sure` [-]."""
 
-OF_PREDICTIONS, OF_DERIVATIVES = 0, 1
-"""Sources of draws: those that predictions are averaged over, and those that derivatives are."""
-
 MOST_CHANGE = 3.0
 """Largest factor by which `matched_strength` departs from 1 [-]."""
 
@@ -45,7 +42,7 @@ class NoiseDraws(NamedTuple):
       strengths: factor on the amplitude of each set's draws, (frequency,) each.
       n_pairs: how many pairs of opposite sign.
       seed: of the random numbers.
-      attempts: how often a trial's noise was drawn anew, (source, pair, trial), see `OF_PREDICTIONS`; None for never.
+      attempts: how often a trial's noise was drawn anew, (pair, trial); None for never.
     """
 
     roots: tuple[ComplexArray, ...]
@@ -54,20 +51,19 @@ class NoiseDraws(NamedTuple):
     seed: int
     attempts: Array | None = None
 
-    def standard(self, source: int, shape: tuple[int, int, int]) -> Iterator[Array]:
+    def standard(self, shape: tuple[int, int, int]) -> Iterator[Array]:
         """Independent standard normal numbers of each pair, (trial, time, axis)."""
-        rng = np.random.default_rng([self.seed, source])
-        for pair, attempts in enumerate(self.attempted(shape[0])[source]):
+        rng = np.random.default_rng(self.seed)
+        for pair, attempts in enumerate(self.attempted(shape[0])):
             numbers = rng.standard_normal(shape)
             for trial in np.flatnonzero(attempts).tolist():
-                again = np.random.default_rng([self.seed, source, pair, trial, int(attempts[trial])])
+                again = np.random.default_rng([self.seed, pair, trial, int(attempts[trial])])
                 numbers[trial] = again.standard_normal(shape[1:])
             yield numbers
 
     def attempted(self, n_trials: int) -> Array:
         """`attempts`, zeros if there were none."""
-        none = np.zeros((OF_DERIVATIVES + 1, self.n_pairs, n_trials))
-        return none if self.attempts is None else self.attempts[:, : self.n_pairs]
+        return np.zeros((self.n_pairs, n_trials)) if self.attempts is None else self.attempts[: self.n_pairs]
 
 
 class Noise:

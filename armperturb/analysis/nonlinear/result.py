@@ -8,7 +8,7 @@ import numpy as np
 from armperturb.analysis.fit.whittle import LackOfFit
 from armperturb.analysis.nonlinear.model import SIGNED, Model, Parameters, coordinate, stem, unit, value_at
 from armperturb.analysis.nonlinear.noise import Noise
-from armperturb.analysis.nonlinear.problem import State
+from armperturb.analysis.nonlinear.simulated import State
 from armperturb.analysis.results import Description, FitResult, Interval, parameter_table, quantile
 from armperturb.arrays import Array
 from armperturb.subject import Subject

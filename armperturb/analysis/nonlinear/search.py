@@ -1,17 +1,14 @@
-"""The search for the maximum of the likelihood, in five stages, each of which goes on where the one before ended.
+"""The search for the maximum of the likelihood, in four stages, each of which goes on where the one before ended.
 
 The first three take Levenberg-Marquardt steps in the coordinates of the parameters, first without noise in the
 prediction, then in its presence (`draws`), then in the presence of noise that is drawn anew: what a fit without noise
 leaves, and how strongly its arm answers noise, may be far from the person's. The noise spectrum is re-estimated before
 each step (iteratively reweighted). Steps after which an arm is unstable, or the likelihood lower, are shortened. In the
-last two stages, Gauss-Newton steps hold spectrum and derivatives, the latter averaged over all draws: derivatives from
-few draws would add noise of their own to the estimate. Their steps estimate the spread of the trials as well. Only the
-last stage, which decides where the search ends, takes derivatives at the step of the predictions; earlier ones are
-coarse.
+last stage, Gauss-Newton steps hold spectrum and derivatives, and estimate the spread of the trials as well.
 
-The last two stages look for where the derivatives and the residual are orthogonal. That is the maximum of the
-likelihood but for what the draws leave in the predictions, which the likelihood would make small (`problem`). So a step
-of theirs is taken not if it raises the likelihood, but if less is then left to be gained by another step.
+The last stage looks for where the derivatives without noise and the residual of predictions in its presence are
+orthogonal (`problem`). So a step of its is taken not if it raises the likelihood, but if less is then left to be gained
+by another step.
 """
 
 from collections.abc import Callable
@@ -21,9 +18,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy import linalg
 
-from armperturb.analysis.nonlinear.draws import predict_with_noise, predict_with_stable_noise, run_away
+from armperturb.analysis.nonlinear.draws import predict_with_noise, predict_with_stable_noise
 from armperturb.analysis.nonlinear.noise import NoiseDraws
-from armperturb.analysis.nonlinear.problem import Normal, Problem, State
+from armperturb.analysis.nonlinear.problem import Normal, Problem
+from armperturb.analysis.nonlinear.simulated import State
 from armperturb.arrays import Array
 
 MAX_STEPS = 40
@@ -31,19 +29,22 @@ MAX_STEPS = 40
 
 SEARCH_STEP, STALLED_STEP, FINAL_STEP = 1.0, 0.3, 0.05
 """Convergence thresholds: largest parameter change / standard error, for the first three stages, for a final stage that
-cannot lower the cost by more than `NO_GAIN` and the stage before it, and for the final stage [-]."""
+cannot lower the cost by more than `NO_GAIN`, and for the final stage [-]."""
 
 NO_GAIN = 0.05
 """Decrease of the cost that is nothing [-]: a parameter's standard error changes it by one. Draws of the noise make the
 likelihood rough on the scale of a few tenths of a standard error, so that a search may go on much longer without any
 change that matters."""
 
-MAX_REFERENCES, MAX_EXPECTATIONS = 16, 200
-"""Most times that each of the last two stages takes spectrum and derivatives anew, and steps of expectation
-maximisation in each of its steps."""
+MAX_REFERENCES, MAX_EXPECTATIONS = 24, 200
+"""Most times that the last stage takes spectrum and derivatives anew, and steps of expectation maximisation in each of
+its steps."""
+
+MOST_CALMED = 3
+"""How often noise with which an arm runs away where the search ends is drawn anew, and the search goes on."""
 
 FAR = 0.3
-"""Change of a coordinate from which on these stages take spectrum and derivatives anew [-]."""
+"""Change of a coordinate from which on this stage takes spectrum and derivatives anew [-]."""
 
 ENOUGH = 1e-3
 """Relative decrease of the cost below which the noise-free stage stops: further steps only fit bias in poorly
@@ -66,7 +67,7 @@ CONVERGED = "converged"
 """How a search ends that has found a maximum."""
 
 
-Stage = Literal["noise-free", "noisy", "drawn-anew", "nearing", "final"]
+Stage = Literal["noise-free", "noisy", "drawn-anew", "final"]
 """Part of the search."""
 
 
@@ -77,7 +78,7 @@ class Position:
     Attributes:
       stage: that it is in.
       state: of the unknowns.
-      reference: state at which the last two stages have their spectrum and derivatives.
+      reference: state at which the last stage has its spectrum and derivatives.
       damping: of the last step.
       n_steps: that were taken in all stages.
       draws: of the noise in whose presence trials are predicted; None for none.
@@ -140,17 +141,18 @@ class Search:
         """Search on to the end."""
         if self._at.stage == "noise-free":
             self._approach()
-            self._enter("noisy" if self._n_pairs else "nearing", self._drawn() if self._n_pairs else None)
+            self._enter("noisy" if self._n_pairs else "final", self._drawn() if self._n_pairs else None)
         if self._at.stage == "noisy":
             self._approach()
             self._enter("drawn-anew", self._drawn())
         if self._at.stage == "drawn-anew":
             self._approach()
-            self._enter("nearing", self._at.draws)
-        if self._at.stage == "nearing":
-            self._finish()
             self._enter("final", self._at.draws)
-        message, slopes = self._finish()
+        self._calmed(self._at.state)
+        for _ in range(MOST_CALMED):
+            message, slopes = self._finish()
+            if not self._calmed(self._at.state):
+                break
         return self._at, message, slopes
 
     def _enter(self, stage: Stage, draws: NoiseDraws | None) -> None:
@@ -193,18 +195,12 @@ class Search:
                 return
 
     def _finish(self) -> tuple[str, list[Array]]:
-        """One of the last two stages; returns how it ended, and with which derivatives."""
-        problem, is_coarse = self._problem, self._at.stage == "nearing"
+        """The last stage; returns how it ended, and with which derivatives."""
+        problem = self._problem
         for _ in range(MAX_REFERENCES):
-            if is_coarse and not problem.can_be_coarse(self._at.reference):
-                return "", []
             predicted = problem.predict([self._at.reference])[0]
             problem.weigh(self._at.reference, problem.residual(predicted))
-            slopes = problem.slopes(self._at.reference, coarse=is_coarse)
-            if self._calmed(slopes):
-                predicted = problem.predict([self._at.reference])[0]
-                problem.weigh(self._at.reference, problem.residual(predicted))
-                slopes = problem.slopes(self._at.reference, coarse=is_coarse)
+            slopes = problem.slopes(self._at.reference)
             if self._distance():
                 predicted = problem.predict([self._at.state])[0]
             message = self._descend(slopes, predicted)
@@ -214,18 +210,18 @@ class Search:
             self._keep()
         return f"not converged after {MAX_REFERENCES} new sets of weights and derivatives", slopes
 
-    def _calmed(self, slopes: list[Array]) -> bool:
-        """Whether there was noise with which an arm runs away at the reference; it is drawn anew."""
+    def _calmed(self, at: State) -> bool:
+        """Whether there was noise with which an arm runs away at a state; it is drawn anew."""
         before = self._at.draws
-        if before is None or not run_away(slopes):
+        if before is None:
             return False
-        draws = predict_with_stable_noise(self._problem, self._at.reference, before, closely=True)
+        draws = predict_with_stable_noise(self._problem, at, before)
         n_trials = self._problem.n_trials
         if draws.strengths is before.strengths and np.array_equal(
             draws.attempted(n_trials), before.attempted(n_trials)
         ):
             return False
-        self._at = replace(self._at, draws=draws)
+        self._at = replace(self._at, draws=draws, reference=self._at.state)
         self._keep()
         return True
 
@@ -236,7 +232,6 @@ class Search:
     def _descend(self, slopes: list[Array], predicted: Array) -> str:
         """Gauss-Newton steps with one spectrum and one set of derivatives; returns how they ended, "" if far away."""
         problem = self._problem
-        short = STALLED_STEP if self._at.stage == "nearing" else FINAL_STEP
         ahead = self._linearised_maximum(self._at.state, problem.normal(self._at.state, predicted, slopes))
         while True:
             state, (maximum, step, gain) = self._at.state, ahead
@@ -252,13 +247,13 @@ class Search:
                     if ahead.gain < gain:
                         break
             else:  # no part of the step leaves less to be gained
-                if self._distance():
+                if self._distance() or self._calmed(maximum):
                     return ""
                 return CONVERGED if step < STALLED_STEP else "no step leads nearer to the maximum"
             self._count(problem.cost(moved, answer), part * step)
             self._at, predicted = replace(self._at, state=moved), answer
             self._keep()
-            if step < short or (step < STALLED_STEP and gain - ahead.gain < NO_GAIN):
+            if step < FINAL_STEP or (step < STALLED_STEP and gain - ahead.gain < NO_GAIN):
                 return CONVERGED
             if part < 1.0 or self._distance() > FAR:
                 return ""

@@ -9,7 +9,8 @@ from armperturb.analysis.defaults import LINEAR_MODELS, WINDOW_START
 from armperturb.analysis.fit.identify import identify_conditions
 from armperturb.analysis.fit.structures import structure_of
 from armperturb.analysis.nonlinear.model import QUANTITIES, Parameters, bounds, coordinate, stem
-from armperturb.analysis.nonlinear.problem import Problem, State
+from armperturb.analysis.nonlinear.problem import Problem
+from armperturb.analysis.nonlinear.simulated import State
 from armperturb.analysis.response.condition_spectra import periodic_lines
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array

@@ -38,7 +38,7 @@ Result = TypeVar("Result")
 VERSIONS = {
     "person": 1,
     "step-2": 1,
-    "nonlinear": 3,
+    "nonlinear": 4,
     "mechanisms": 1,
     "moving-shoulder": 2,
     "figure": 1,

@@ -8,8 +8,9 @@ from armperturb.analysis.nonlinear.checkpoint import digest_of, load_position, s
 from armperturb.analysis.nonlinear.estimate import free_parameters
 from armperturb.analysis.nonlinear.model import Model
 from armperturb.analysis.nonlinear.noise import NoiseDraws
-from armperturb.analysis.nonlinear.problem import Problem, State
+from armperturb.analysis.nonlinear.problem import Problem
 from armperturb.analysis.nonlinear.search import Position
+from armperturb.analysis.nonlinear.simulated import State
 from armperturb.subject import RELAX
 
 
@@ -22,7 +23,7 @@ def state(seed):
 def position():
     rng = np.random.default_rng(2)
     roots = tuple(rng.standard_normal((n, 2, 2)) + 1j * rng.standard_normal((n, 2, 2)) for n in (3, 5))
-    draws = NoiseDraws(roots, (rng.random(3), rng.random(5)), 6, 7, rng.integers(0, 3, (2, 6, 4)))
+    draws = NoiseDraws(roots, (rng.random(3), rng.random(5)), 6, 7, rng.integers(0, 3, (6, 4)))
     return Position(stage="final", state=state(0), reference=state(1), damping=0.3, n_steps=9, draws=draws)
 
 

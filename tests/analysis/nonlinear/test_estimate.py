@@ -9,18 +9,18 @@ import pytest
 
 from armperturb.analysis.nonlinear.choice import Choice, Gain, Judged, compare_laws, left_out_likelihood
 from armperturb.analysis.nonlinear.draws import (
-    agreed_information,
     lack_of_fit,
+    moved_by_score,
     predict_with_noise,
-    run_away,
     simulate_deviations,
 )
 from armperturb.analysis.nonlinear.estimate import fit, free_parameters, nearest_arms
-from armperturb.analysis.nonlinear.model import Model, true_values
+from armperturb.analysis.nonlinear.model import Model, coordinate, true_values
 from armperturb.analysis.nonlinear.noise import NoiseDraws
 from armperturb.analysis.nonlinear.prediction import predict_pulses, predict_pulses_linearly
-from armperturb.analysis.nonlinear.problem import Normal, Problem, State
+from armperturb.analysis.nonlinear.problem import Normal, Problem
 from armperturb.analysis.nonlinear.result import remarks_on
+from armperturb.analysis.nonlinear.simulated import State
 from armperturb.analysis.nonlinear.start import best_start
 from armperturb.analysis.nonlinear.trials import fitted_conditions
 from armperturb.analysis.results import PARAMETER_COLUMNS
@@ -449,24 +449,27 @@ def test_slopes_are_taken_on_this_side_of_a_bound(at_truth):
     at_bound.parameters.upper = state.point  # nothing may grow
     asked = []
     predict = at_bound.predict
-    at_bound.predict = lambda states, *draws: asked.extend(states) or predict(states, *draws)
+    at_bound.predict = lambda states, *others: asked.extend(states) or predict(states, *others)
     for found, expected in zip(at_bound.slopes(state), slopes, strict=True):
         np.testing.assert_allclose(found, expected, atol=0.01 * np.abs(expected).max())
     assert all((each.point <= state.point).all() for each in asked)
 
 
 @pytest.mark.slow(reason="simulates eight trials")
-def test_derivatives_are_not_coarse_where_their_step_is_too_long_for_the_arm(noisy):
-    model = Model(fixed={**FEW.fixed, "k_h": 300_000.0})  # whose grip swings too fast
-    for used, is_slow in ((FEW, True), (model, False)):
-        problem = Problem(free_parameters(noisy, used), noisy, ARMS)
-        effects, spread = np.zeros(len(problem.kind_of)), np.full(len(problem.kinds), 0.08)
-        state = State(np.log([TRUE[name] for name in problem.parameters.names]), effects, spread)
-        assert problem.can_be_coarse(state) == is_slow
-        assert np.isfinite(problem.predict([state])).all()
-        problem.weigh(state, problem.residual(problem.predict([state])[0]))
-        pairs = zip(problem.slopes(state, coarse=True), problem.slopes(state), strict=True)
-        assert all(np.array_equal(coarse, fine) for coarse, fine in pairs) == (not is_slow)
+def test_what_an_effect_does_follows_from_the_parameters_that_it_multiplies(noisy):
+    problem = Problem(free_parameters(noisy, Model()), noisy, ARMS)
+    point = np.array([coordinate(name, TRUE[name]) for name in problem.parameters.names])
+    effects = 0.2 * np.random.default_rng(0).standard_normal(len(problem.kind_of))
+    state = State(point, effects, np.full(len(problem.kinds), 0.08))
+    found = problem.derivatives(state)
+    # Without any parameter, and with one that two values are tied to, effects are simulated.
+    nothing = Problem(problem.parameters.fixed_at(point), noisy, ARMS)
+    alone = nothing.derivatives(state._replace(point=np.empty(0)))
+    tied = free_parameters(noisy, Model(tied={"b.shoulder": "k.shoulder"}))
+    assert [weights is None for weights in tied.along_effects(np.zeros(len(tied.names)))["RT"]] == [True, True]
+    for of_trial, simulated in zip(found, alone, strict=True):
+        assert len(simulated) == 2
+        np.testing.assert_allclose(of_trial[len(point) :], simulated, atol=0.01 * np.abs(simulated).max())
 
 
 @pytest.mark.slow(reason="simulates eight trials")
@@ -477,11 +480,9 @@ def test_a_trial_in_which_the_arm_diverges_says_nothing_of_where_to_go(at_truth)
     strengths[1] *= 1e6  # of the second condition
     problem.predict_with(NoiseDraws(roots, tuple(strengths), 1, 0))
     n_first = problem.sets[0].n_trials
-    slopes = problem.slopes(state)
+    slopes = problem.slopes(state, noisy=True)
     assert all(np.isfinite(columns).all() for columns in slopes)
     assert [bool(columns.any()) for columns in slopes] == [True] * n_first + [False] * problem.sets[1].n_trials
-    assert run_away(slopes)
-    assert problem.reach(state) == np.inf
 
 
 @pytest.mark.slow(reason="simulates eight trials")
@@ -511,13 +512,12 @@ def test_what_draws_leave_in_predictions_does_not_move_a_fit(at_truth):
     for seed in range(6):
         problem.predict_with(draws._replace(n_pairs=1, seed=seed))
         left = problem.white(problem.predict([state])[0] - mean)
-        for of_predictions, moved in moves.items():
-            slopes = problem.slopes(state, of_predictions=of_predictions)
+        for noisy, moved in moves.items():
+            slopes = problem.slopes(state, noisy=noisy)
             score = problem.gathered(state, [a @ b for a, b in zip(slopes, left, strict=True)])
-            information = agreed_information(problem, state, slopes, slopes)
-            moved.append((np.linalg.inv(information) @ score)[: len(state.point)])
+            moved.append((moved_by_score(problem, state, slopes, slopes) @ score)[: len(state.point)])
     # In standard errors of the mean over seeds: what a pair leaves is made smaller by a change of the parameters only
-    # where derivatives are those of the same pair.
+    # where derivatives are those in the presence of the same pair.
     own, others = (
         np.abs(np.mean(moved, axis=0) / (np.std(moved, axis=0, ddof=1) / np.sqrt(len(moved))))
         for moved in (moves[True], moves[False])
@@ -526,26 +526,29 @@ def test_what_draws_leave_in_predictions_does_not_move_a_fit(at_truth):
     assert others.max() < 4.0
 
 
-def test_information_is_what_derivatives_of_two_sets_of_draws_agree_upon():
+def test_errors_count_that_predictions_move_otherwise_than_without_noise():
     class Alone(Problem):
         def __init__(self):
             self.n_trials, self.effects_of, self.kind_of = 1, [slice(0, 0)], np.empty(0, dtype=int)
 
         def prior(self, state):
-            return np.zeros(3)
+            return np.full(3, 1e-9)
 
         def emg_normal(self, state):
             return Normal(np.zeros((3, 3)), np.zeros(3))
 
-    rng, n = np.random.default_rng(0), 20_000
-    true = np.array([[1.0, 0.0, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 0.0]]) @ rng.standard_normal((3, n))
-    first, second = ([true + 0.5 * rng.standard_normal((3, n))] for _ in range(2))
+    rng, n = np.random.default_rng(0), 400
+    slopes = rng.standard_normal((3, n))
+    answers = np.array([[0.8, 0.0, 0.1], [0.3, 0.5, 0.0], [0.0, 0.1, 0.7]]) @ slopes + rng.standard_normal((3, n))
     state = State(np.zeros(3), np.empty(0), np.empty(0))
-    found = agreed_information(Alone(), state, first, second)
-    np.testing.assert_allclose(found[:2, :2], true[:2] @ true[:2].T, atol=0.03 * n)
-    # Of the last parameter nothing is known, of which draws still seem to tell 0.25 n.
-    assert found[2, 2] == pytest.approx(0.25 * 0.25 * n, rel=0.05)
-    np.testing.assert_allclose(agreed_information(Alone(), state, first, first), first[0] @ first[0].T, rtol=1e-8)
+    moved = moved_by_score(Alone(), state, [slopes], [answers])
+    # Where slopes and residual are orthogonal, of records that are the noise of unit variance alone.
+    found = [np.linalg.solve(slopes @ answers.T, slopes @ rng.standard_normal(n)) for _ in range(4000)]
+    np.testing.assert_allclose(np.cov(np.transpose(found)), moved @ (slopes @ slopes.T) @ moved.T, atol=4e-4)
+    # What answers nothing is not taken for unknown altogether.
+    answers[2] = 0.0
+    error = np.sqrt(np.diag(moved_by_score(Alone(), state, [slopes], [answers]))[2])
+    assert error == pytest.approx(np.sqrt(4.0 / (slopes[2] @ slopes[2])), rel=0.2)
 
 
 @pytest.mark.slow(reason="simulates eight trials")
