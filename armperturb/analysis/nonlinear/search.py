@@ -27,9 +27,10 @@ from armperturb.arrays import Array
 MAX_STEPS = 40
 """Most steps of each of the first three stages."""
 
-SEARCH_STEP, STALLED_STEP, FINAL_STEP = 1.0, 0.3, 0.05
+SEARCH_STEP, STALLED_STEP, FINAL_STEP, LEAST_STEP = 1.0, 0.3, 0.05, 0.5
 """Convergence thresholds: largest parameter change / standard error, for the first three stages, for a final stage that
-cannot lower the cost by more than `NO_GAIN`, and for the final stage [-]."""
+cannot lower the cost by more than `NO_GAIN`, for the final stage, and for one in which no part of a step leads nearer
+[-]. Draws of another seed move a fit by as much as the last."""
 
 NO_GAIN = 0.05
 """Decrease of the cost that is nothing [-]: a parameter's standard error changes it by one. Draws of the noise make the
@@ -249,7 +250,7 @@ class Search:
             else:  # no part of the step leaves less to be gained
                 if self._distance() or self._calmed(maximum):
                     return ""
-                return CONVERGED if step < STALLED_STEP else "no step leads nearer to the maximum"
+                return CONVERGED if step < LEAST_STEP else "no step leads nearer to the maximum"
             self._count(problem.cost(moved, answer), part * step)
             self._at, predicted = replace(self._at, state=moved), answer
             self._keep()
