@@ -31,7 +31,7 @@ def cocontraction(people: tuple[PersonEmg, ...], conditions: tuple[Condition, ..
             if values and condition.contraction is None:
                 groups.setdefault(condition.task, {})[condition.name] = values
         draw_people(ax, groups, logarithmic=False)
-        ax.set_ylim(bottom=0.0)
+        ax.set_ylim(bottom=-0.05 * ax.get_ylim()[1])  # people who relax have 0, and their marks are drawn whole
         ax.set_title(joint, loc="left")
         ax.set_ylabel("index [%]")
     figure.suptitle(f"co-contraction in {unit}", fontsize=9, parse_math=False)
