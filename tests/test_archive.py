@@ -167,6 +167,7 @@ def test_a_pipe_is_no_archive(tmp_path):
         read_archive(tmp_path / "a.json.gz")
 
 
+@pytest.mark.slow(reason="packs gigabytes")
 def test_an_archive_that_unpacks_to_gigabytes_is_refused(tmp_path):
     path = tmp_path / "a"
     path.write_bytes(gzip.compress(b" " * (archive.LARGEST + 1000)))

@@ -55,6 +55,7 @@ sys.exit(cli.main([]))
 """
 
 
+@pytest.mark.slow(reason="a process of its own")
 @pytest.mark.parametrize("name", SIGNALS)
 @pytest.mark.parametrize("to_group", [False, True], ids=["process", "group"])
 def test_signals_end_a_command_in_order(tmp_path, name, to_group):

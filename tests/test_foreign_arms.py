@@ -51,6 +51,7 @@ def test_halving_the_step_changes_less_than_a_ten_thousandth(reflex, grip):
         assert np.abs(a - b).max() < 1e-4 * np.abs(b).max()
 
 
+@pytest.mark.slow(reason="integrates the equations of motion")
 @pytest.mark.parametrize(("reflex", "grip"), ARMS)
 def test_mujoco_moves_as_the_equations_of_motion(reflex, grip):
     setup = draw_foreign(3, reflex=reflex, grip=grip, n_trials=1, duration=4.0, rms=0.03)
@@ -78,6 +79,7 @@ def test_the_admittance_without_a_model_is_inside_its_circles(kind):
     assert 0.90 < np.mean(covered) < 0.99, covered
 
 
+@pytest.mark.slow(reason="draws many arms")
 def test_loads_and_structures_are_all_drawn():
     drawn = [draw_foreign(seed) for seed in range(40)]
     assert {setup.truth["reflex"] for setup in drawn} == {"none", "velocity", "position"}

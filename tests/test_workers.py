@@ -122,6 +122,7 @@ def test_units_of_a_killed_worker_are_done_again_and_none_doubled(tmp_path, capl
     assert "a worker process died" in caplog.text
 
 
+@pytest.mark.slow(reason="processes of its own")
 def test_workers_that_always_die_end_it(monkeypatch):
     monkeypatch.setattr(workers, "MAX_DEATHS", 1)
     with pytest.raises(RuntimeError, match="worker processes died 2 times in succession"):
@@ -140,6 +141,7 @@ def helper():
     return process
 
 
+@pytest.mark.slow(reason="processes of its own")
 @pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="a process's files are in /proc on Linux alone")
 def test_the_pools_helper_prints_nothing_about_killed_workers_nor_when_it_is_started_anew():
     error = os.readlink("/proc/self/fd/2")

@@ -24,6 +24,7 @@ def test_length_trials_and_memory_are_named():
         needs.require([of_length(36000.0), of_length(36.0)])
 
 
+@pytest.mark.slow(reason="writes a large recording")
 def test_what_an_analysis_does_not_use_is_not_read(tmp_path):
     path = write(tmp_path)
     whole = import_recording([path]).recording

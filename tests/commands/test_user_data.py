@@ -118,6 +118,7 @@ def test_a_file_that_no_run_has_written_is_not_removed(folder):
     assert (folder / "distortion.csv").read_text(encoding="utf-8") == "mine"
 
 
+@pytest.mark.slow(reason="simulates trials with EMG")
 def test_joins_keep_what_all_have_and_name_the_rest(folder, capsys):
     first = load_recording(next(folder.glob("*.nc")))
     n_time = first.sizes["time"]
@@ -146,6 +147,7 @@ def test_what_is_no_file_is_not_replaced_either(folder, capsys, make):
     assert not out.is_file()
 
 
+@pytest.mark.slow(reason="reads in child processes")
 @pytest.mark.parametrize("change", ["format", "rounded", "shorter"])
 def test_copies_that_differ_by_rounding_or_their_end_are_copies(folder, capsys, change):
     source = next(folder.glob("*.nc"))
@@ -174,6 +176,7 @@ def test_trials_of_little_noise_are_no_copies(folder):
     assert import_recording([source, path]).recording.sizes["trial"] == 4
 
 
+@pytest.mark.slow(reason="reads in child processes")
 @pytest.mark.parametrize("ending", [".csv", ".nc"])
 def test_copies_of_a_trial_do_not_count_as_another(folder, capsys, ending):
     source = next(folder.glob("*.csv"))

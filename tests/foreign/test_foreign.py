@@ -169,6 +169,7 @@ def waiting():
     return {child.pid for child in psutil.Process().children() if any("program.py" in word for word in child.cmdline())}
 
 
+@pytest.mark.slow(reason="child processes")
 def test_a_child_process_stays_until_it_refuses_or_dies(recording_file, tmp_path, monkeypatch):
     read_foreign(recording_file)
     (first,) = waiting()

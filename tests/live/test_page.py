@@ -50,6 +50,7 @@ def test_infinite_values_are_none():
     assert [len(parts) for parts in muscle["shape"]] == [8] * 3
 
 
+@pytest.mark.slow(reason="starts node")
 @pytest.mark.skipif(NODE is None, reason="no node on PATH: tests/live/test_browser.py compares in a browser")
 def test_javascript_has_the_admittance_poles_and_movements_of_python():
     model = (resources.files("armperturb.live") / "templates" / "model.js").read_text(encoding="utf-8")
@@ -68,6 +69,7 @@ def test_refuses_what_it_does_not_have():
         arm_values(replace(POSITION, k_h=float("inf")))
 
 
+@pytest.mark.slow(reason="reads in child processes")
 def test_command_writes_the_page_with_arms_from_files(tmp_path, capsys):
     RELAX.save(tmp_path / "arm.toml")
     assert main(["live", "--out", str(tmp_path / "live.html"), "--arms", str(tmp_path / "arm.toml")]) == 0

@@ -93,6 +93,7 @@ def constrained(draw):
     return figure
 
 
+@pytest.mark.slow(reason="draws figures")
 @pytest.mark.parametrize("draw", FIGURES, ids=lambda draw: draw.__name__)
 def test_places_are_those_of_constrained_layout(draw):
     expected = constrained(draw)
@@ -103,6 +104,7 @@ def test_places_are_those_of_constrained_layout(draw):
     np.testing.assert_allclose(places(figure), places(expected), atol=1.0)  # a point
 
 
+@pytest.mark.slow(reason="draws figures")
 @pytest.mark.parametrize("draw", FIGURES, ids=lambda draw: draw.__name__)
 def test_nothing_overlaps_or_is_cut_off(draw):
     with in_style():
@@ -119,6 +121,7 @@ def test_nothing_overlaps_or_is_cut_off(draw):
         assert shared.min() < 0.5
 
 
+@pytest.mark.slow(reason="draws figures")
 def test_saving_leaves_a_figure_as_it_was_but_for_its_places(tmp_path):
     figure = legends_and_a_title_beside()
     first = svg(figure)

@@ -47,10 +47,10 @@ def emg_units(study: StudyResult, checksums: Mapping[str, str], out: Path) -> li
     return sorted(units, key=lambda unit: not unit.cached.settings)
 
 
-def emg_people(study: StudyResult, found: Sequence[PersonEmg]) -> tuple[PersonEmg, ...]:
-    """People in the order of the study, of what `emg_units` found; empty if nobody has any EMG."""
-    of = {person.name: person for person in found}
-    return tuple(of[name] for name in study.recordings) if any(person.levels for person in found) else ()
+def emg_people(study: StudyResult, results: Sequence[PersonEmg]) -> tuple[PersonEmg, ...]:
+    """People in the order of the study, of the results of `emg_units`; empty if nobody has any EMG."""
+    of = {person.name: person for person in results}
+    return tuple(of[name] for name in study.recordings) if any(person.levels for person in results) else ()
 
 
 def _shown_case(study: StudyResult) -> Case | None:

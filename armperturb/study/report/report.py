@@ -86,10 +86,10 @@ def write_report(
         simulations = _simulations(study, out) if simulate else {}
         first = [*simulations.values(), *emg_units(study, checksums, out)]
         with Progress(FIRST_STAGE, total=len(first), unit="results", show=show_progress) as bar:
-            found = kept_or_computed(first, pool, bar)
-        simulated = dict(zip(simulations, found, strict=False))
+            results = kept_or_computed(first, pool, bar)
+        simulated = dict(zip(simulations, results, strict=False))
         yielding, shoulder = simulated.get("mechanisms"), simulated.get("moving-shoulder")
-        emg = emg_people(study, found[len(simulations) :])
+        emg = emg_people(study, results[len(simulations) :])
         every = {**drawings(study, tested, yielding), **emg_drawings(study, emg)}
         draws = {name: draw for name, draw in every.items() if figures is None or name in figures}
         pulses = draws["stills"].args[-1] if "stills" in draws else ()

@@ -118,6 +118,7 @@ def test_jacobian_equals_finite_differences(model, arm, with_penalty):
         assert problem.penalty(values) > 1.001
 
 
+@pytest.mark.slow(reason="fits from many starts")
 def test_fits_at_the_border_of_stability_converge():
     rng = np.random.default_rng(2)
     wild = replace(POSITION, kv_s=1.6 * POSITION.kv_s)

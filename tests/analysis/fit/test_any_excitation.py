@@ -62,6 +62,7 @@ def test_trials_that_differ_widen_intervals_and_are_told():
     assert 6.0 < differing.degrees_of_freedom["k_e"] < 20.0
 
 
+@pytest.mark.slow(reason="simulates trials")
 def test_below_the_start_of_sweeps_nothing_is_asked():
     setup = draw_foreign(921, kind="chirp", rate=200.0)
     recording = setup.recording()

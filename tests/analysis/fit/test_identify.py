@@ -20,6 +20,7 @@ PARTS = {"RT7.5": [0, 1, 2], "RT22.5": [3, 4, 5]}
 """Trials of each condition of the noisy recording."""
 
 
+@pytest.mark.slow(reason="fits many structures")
 @pytest.mark.parametrize("estimator", ["record", "frequency"])
 @pytest.mark.parametrize(("model", "arm"), [("1", RELAX), ("3b", POSITION)], ids=["1", "3b"])
 def test_parameters_that_were_put_in_come_out(model, arm, estimator, request):

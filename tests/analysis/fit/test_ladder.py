@@ -62,6 +62,7 @@ def test_loss_on_left_out_trials_is_that_of_leaving_them_out():
     assert left_out_loss(scores) == pytest.approx(loss, rel=1e-9)
 
 
+@pytest.mark.slow(reason="fits long trials")
 def test_long_trials_are_compared_in_segments_to_the_same_result(monkeypatch):
     """Segments lose what is about their ends, so that results differ by a part of their errors."""
     setup = draw_foreign(6, n_trials=2, duration=80.0, rate=200.0, kind="noise", grip="rigid", reflex="velocity")

@@ -225,6 +225,7 @@ def loud(once):
 LARGE = pytest.mark.slow(reason="fits many parameters to one trial")
 
 
+@pytest.mark.slow(reason="fits twelve structures")
 @METHODS
 @pytest.mark.parametrize(
     ("task", "model"),
@@ -247,6 +248,7 @@ def test_whatever_is_fitted_to_one_loud_trial_ends_with_a_status(loud, task, mod
         assert (name in found.at_bound) == (min(value - lower, upper - value) <= 1e-6 * (upper - lower))
 
 
+@pytest.mark.slow(reason="fits an unstable arm")
 def test_an_arm_that_cannot_be_stable_is_fitted_and_said_to_be_unstable(relax):
     wild = STRUCTURES["1"].fixing(kv_s=60.0, kv_e=60.0)
     found = estimate([group_of(relax, wild)], "frequency")

@@ -123,6 +123,7 @@ def test_foreign_arms_that_move_by_centimetres_are_identified_within_their_error
     assert with_arm < 1.5 < moving, (moving, without_arm, with_arm)
 
 
+@pytest.mark.slow(reason="simulates noisy trials")
 def test_what_the_persons_noise_moves_is_not_taken_for_a_wrong_structure():
     lacks = np.zeros((2, 2))
     free = {"rms": 0.02, "remnant": 0.15, "load": (0.9, 25.0, 0.0), "kind": "noise", "reflex": "none"}

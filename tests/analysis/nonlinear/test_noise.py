@@ -125,6 +125,7 @@ def test_lack_of_fit_sees_a_response_that_is_left_and_no_other(noise, residual):
     np.testing.assert_allclose(noise.lack_of_fit(both[0], push)[0], right)
 
 
+@pytest.mark.slow(reason="many sets of trials")
 def test_estimates_vary_by_more_as_they_weigh_trials_by_the_noise_of_these():
     n, n_trials, n_sets, n_signals = 500, 2, 1200, 8
     rng = np.random.default_rng(3)

@@ -229,6 +229,7 @@ def test_circles_hold_a_load_whose_force_is_noisy(load):
         assert np.mean(values) >= 0.85
 
 
+@pytest.mark.slow(reason="simulates trials")
 @pytest.mark.parametrize("method", ["arx", "subspace", "welch", "multitaper", "noise"])
 def test_what_is_before_the_start_is_left_out(load, method):
     later = load.isel(time=slice(1000, None)).assign_coords(time=load["time"].values[:-1000])

@@ -67,6 +67,7 @@ def test_the_admittance_is_that_of_the_known_parameters(files):
     assert np.median(off) < 0.01
 
 
+@pytest.mark.slow(reason="simulates trials")
 def test_the_arm_of_dm_control_is_perturbed():
     package = importlib.util.find_spec("dm_control")  # whose import would take seconds
     if package is None:

@@ -29,6 +29,7 @@ needs_gl = pytest.mark.skipif(
 )
 
 
+@pytest.mark.slow(reason="draws pictures")
 @needs_gl
 @pytest.mark.parametrize("camera", ["top", "oblique"])
 def test_draws_a_picture(model, camera):

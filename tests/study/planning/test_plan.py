@@ -164,6 +164,7 @@ def test_noise_rises_with_the_demand_as_its_slope_says():
         np.testing.assert_allclose(slopes[joint], (up - down) / 2e-4, rtol=1e-5, atol=1e-9 * np.abs(slopes).max())
 
 
+@pytest.mark.slow(reason="optimises by a general method")
 @pytest.mark.parametrize("held", [np.array([3.0, 2.0]), None], ids=["held", "follows"])
 @pytest.mark.parametrize("limits", [Limits(5.4, 1.0), Limits(5.4, 4e-3)], ids=["force", "displacement"])
 def test_optimum_is_that_of_a_general_method_and_keeps_the_limits(limits, held):
@@ -395,6 +396,7 @@ def test_a_short_plan_can_be_identified():
         assert found.fit.values[name] == pytest.approx(getattr(POSITION, name), rel=0.02)
 
 
+@pytest.mark.slow(reason="optimises multisines")
 def test_a_proposed_perturbation_is_told_beside(plan):
     """Ten phases of the thesis's multisine tell as much as its powers say on average."""
     squares = []
@@ -473,6 +475,7 @@ def test_perturbations_of_somebody_else_are_neither_replaced_nor_removed(tmp_pat
     assert own.read_text() == "of an experiment"
 
 
+@pytest.mark.slow(reason="optimises multisines")
 def test_a_plan_that_fails_leaves_that_of_before(tmp_path, plan, monkeypatch):
     write_design(plan, tmp_path)
     more = tmp_path / "perturbations" / "trial_99.csv"

@@ -222,6 +222,7 @@ with open_study(Path(sys.argv[1]), json.loads(sys.argv[2])):
 """
 
 
+@pytest.mark.slow(reason="a process of its own")
 def test_a_second_run_is_refused_until_the_first_is_killed(tmp_path):
     with subprocess.Popen(
         [sys.executable, "-c", HOLDER, str(tmp_path), json.dumps(MANIFEST)], stdout=subprocess.PIPE, text=True

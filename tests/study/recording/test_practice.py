@@ -159,6 +159,7 @@ def test_pulses_alone_need_no_practice(people):
     assert practise(people, protocol, SEED) == ({PULSE_UNIT: 40.0},) * 2
 
 
+@pytest.mark.slow(reason="simulates practice sessions")
 @pytest.mark.parametrize(
     "arm",
     [
