@@ -1,8 +1,9 @@
 """All trials of one person as one least-squares problem: residuals of the predictions, and their derivatives.
 
-What a few draws of the noise leave in a mean prediction depends on the parameters, and were its derivatives averaged
-over the same draws, a fit would make that remainder small: so derivatives have draws of their own (Laffont, Ossard &
-Vuong 1995, Econometrica 63, on the bias of simulated least squares).
+What a few draws of the noise leave in a mean prediction depends on the parameters, and were residuals weighed by the
+derivatives of that mean, a fit would make the remainder small (Laffont, Ossard & Vuong 1995, Econometrica 63, on the
+bias of simulated least squares). So they are weighed by derivatives without noise, as by instrumental variables
+(Soderstrom & Stoica 1983), which are also smooth where an arm is near instability.
 
 Trials of a person differ: each has its own factor on stiffness, damping and feedback, log-normal with a spread that is
 estimated too. Its logarithm is a random effect, an unknown with a prior.
