@@ -34,7 +34,7 @@ MOST_ATTEMPTS = 20
 """How often the noise of a trial is drawn anew in a search."""
 
 LEAST_SHARE = 0.25
-"""Least share of the information without noise that counts, see `moved_by_score` [-]."""
+"""Least share of the information without noise that counts, see `inverse_of_mixed` [-]."""
 
 TINY = 1e-12
 """Least eigenvalue of a scaled information matrix, over the largest [-]."""
@@ -177,23 +177,31 @@ def _halves(problem: Problem, state: State, draws: NoiseDraws) -> list[tuple[lis
     ]
 
 
-def moved_by_score(problem: Problem, state: State, slopes: Sequence[Array], answers: Sequence[Array]) -> Array:
-    """How far the solution moves per change of the score, `Normal.slope`, (unknown, unknown).
+def mixed_information(problem: Problem, state: State, slopes: Sequence[Array], answers: Sequence[Array]) -> Array:
+    """By how much the score, `Normal.slope`, falls per change of the unknowns, without the prior, (unknown, unknown).
 
-    The score weighs residuals by derivatives without noise, and predictions move by those in its presence. In
-    directions in which the two have little in common, a share `LEAST_SHARE` of what the former alone would tell counts.
+    The score weighs residuals by derivatives without noise, and predictions move by those in its presence.
 
     Args:
-      problem: what was fitted.
+      problem: what is fitted.
       state: where the fit is.
       slopes: from `Problem.slopes`.
-      answers: the noisy ones.
+      answers: the noisy ones; the same ones count as they are.
     """
-    known = problem.emg_normal(state).matrix + np.diag(problem.prior(state))
-    alone, mixed = (
-        known + problem.gathered(state, [a @ b.T for a, b in zip(slopes, others, strict=True)])
-        for others in (slopes, answers)
-    )
+    of_movement = problem.gathered(state, [a @ b.T for a, b in zip(slopes, answers, strict=True)])
+    return of_movement + problem.emg_normal(state).matrix
+
+
+def inverse_of_mixed(alone: Array, mixed: Array) -> Array:
+    """Inverse of `mixed_information`, (unknown, unknown).
+
+    In directions in which the derivatives without noise and those in its presence have little in common, a share
+    `LEAST_SHARE` of what the former alone would tell counts.
+
+    Args:
+      alone: information of the derivatives without noise alone, with the prior.
+      mixed: with the prior.
+    """
     scale = np.sqrt(np.diag(alone))
     power, directions = np.linalg.eigh(alone / np.outer(scale, scale))
     to_white = directions / np.sqrt(np.maximum(power, TINY * power[-1])) / scale[:, None]

@@ -16,9 +16,10 @@ import numpy as np
 from armperturb.analysis.nonlinear.checkpoint import digest_of, load_position, save_position
 from armperturb.analysis.nonlinear.draws import (
     Deviations,
+    inverse_of_mixed,
     is_borne,
     lack_of_fit,
-    moved_by_score,
+    mixed_information,
     score_variance,
     simulate_deviations,
 )
@@ -173,7 +174,9 @@ def _estimate(
         )
     predicted = problem.predict([state])[0]
     answers = problem.slopes(state, noisy=True) if problem.is_noisy else slopes
-    moved, variance = moved_by_score(problem, state, slopes, answers), problem.information(state, slopes)
+    variance = problem.information(state, slopes)
+    mixed = mixed_information(problem, state, slopes, answers) + np.diag(problem.prior(state))
+    moved = inverse_of_mixed(variance, mixed)
     roots = tuple(noise.root for noise in problem.noises)
     deviations, strengths = Deviations([], []), tuple(np.ones(len(root)) for root in roots)
     if position.draws is not None:

@@ -18,7 +18,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy import linalg
 
-from armperturb.analysis.nonlinear.draws import predict_with_noise, predict_with_stable_noise
+from armperturb.analysis.nonlinear.draws import (
+    inverse_of_mixed,
+    mixed_information,
+    predict_with_noise,
+    predict_with_stable_noise,
+)
 from armperturb.analysis.nonlinear.noise import NoiseDraws
 from armperturb.analysis.nonlinear.problem import Normal, Problem
 from armperturb.analysis.nonlinear.simulated import State
@@ -27,19 +32,19 @@ from armperturb.arrays import Array
 MAX_STEPS = 40
 """Most steps of each of the first three stages."""
 
-SEARCH_STEP, STALLED_STEP, FINAL_STEP, LEAST_STEP = 1.0, 0.3, 0.05, 0.5
+SEARCH_STEP, STALLED_STEP, FINAL_STEP = 1.0, 0.3, 0.05
 """Convergence thresholds: largest parameter change / standard error, for the first three stages, for a final stage that
-cannot lower the cost by more than `NO_GAIN`, for the final stage, and for one in which no part of a step leads nearer
-[-]. Draws of another seed move a fit by as much as the last."""
+cannot lower the cost by more than `NO_GAIN`, and for the final stage [-]."""
 
 NO_GAIN = 0.05
 """Decrease of the cost that is nothing [-]: a parameter's standard error changes it by one. Draws of the noise make the
 likelihood rough on the scale of a few tenths of a standard error, so that a search may go on much longer without any
 change that matters."""
 
-MAX_REFERENCES, MAX_EXPECTATIONS = 24, 200
-"""Most times that the last stage takes spectrum and derivatives anew, and steps of expectation maximisation in each of
-its steps."""
+MAX_REFERENCES, MAX_FINAL_STEPS, MAX_EXPECTATIONS = 6, 40, 200
+"""Most times that the last stage takes spectrum and derivatives anew, steps with those of the last time, and steps of
+expectation maximisation in each of these. Near instability spectrum and derivatives move the maximum each time that
+they are taken anew, while any of them near it will do."""
 
 MOST_CALMED = 3
 """How often noise with which an arm runs away where the search ends is drawn anew, and the search goes on."""
@@ -60,6 +65,9 @@ LONGEST = 1.0
 
 LEAST_SPREAD, MOST_SPREAD = 0.01, 0.5
 """Bounds on the spread of trials [-]."""
+
+REACH = 0.5
+"""How far about a final step may change a coordinate of which little is known [-]."""
 
 SHORTER = (1.0, 0.5, 0.25, 0.1, 0.03)
 """Parts of a final step that are tried in turn [-]."""
@@ -82,6 +90,7 @@ class Position:
       reference: state at which the last stage has its spectrum and derivatives.
       damping: of the last step.
       n_steps: that were taken in all stages.
+      n_references: how often the last stage has taken spectrum and derivatives anew.
       draws: of the noise in whose presence trials are predicted; None for none.
     """
 
@@ -90,6 +99,7 @@ class Position:
     reference: State
     damping: float = 1.0
     n_steps: int = 0
+    n_references: int = 0
     draws: NoiseDraws | None = None
 
 
@@ -157,7 +167,7 @@ class Search:
         return self._at, message, slopes
 
     def _enter(self, stage: Stage, draws: NoiseDraws | None) -> None:
-        self._at = replace(self._at, stage=stage, damping=1.0, reference=self._at.state, draws=draws)
+        self._at = replace(self._at, stage=stage, damping=1.0, reference=self._at.state, n_references=0, draws=draws)
         self._keep()
 
     def _drawn(self) -> NoiseDraws:
@@ -198,18 +208,17 @@ class Search:
     def _finish(self) -> tuple[str, list[Array]]:
         """The last stage; returns how it ended, and with which derivatives."""
         problem = self._problem
-        for _ in range(MAX_REFERENCES):
+        while True:
             predicted = problem.predict([self._at.reference])[0]
             problem.weigh(self._at.reference, problem.residual(predicted))
             slopes = problem.slopes(self._at.reference)
             if self._distance():
                 predicted = problem.predict([self._at.state])[0]
-            message = self._descend(slopes, predicted)
+            message = self._descend(slopes, predicted, is_last=self._at.n_references >= MAX_REFERENCES)
             if message:
                 return message, slopes
-            self._at = replace(self._at, reference=self._at.state)
+            self._at = replace(self._at, reference=self._at.state, n_references=self._at.n_references + 1)
             self._keep()
-        return f"not converged after {MAX_REFERENCES} new sets of weights and derivatives", slopes
 
     def _calmed(self, at: State) -> bool:
         """Whether there was noise with which an arm runs away at a state; it is drawn anew."""
@@ -222,7 +231,7 @@ class Search:
             draws.attempted(n_trials), before.attempted(n_trials)
         ):
             return False
-        self._at = replace(self._at, draws=draws, reference=self._at.state)
+        self._at = replace(self._at, draws=draws, reference=self._at.state, n_references=0)
         self._keep()
         return True
 
@@ -230,11 +239,15 @@ class Search:
         """How far the point has come since spectrum and derivatives were taken."""
         return float(np.max(np.abs(self._at.state.point - self._at.reference.point), initial=0.0))
 
-    def _descend(self, slopes: list[Array], predicted: Array) -> str:
-        """Gauss-Newton steps with one spectrum and one set of derivatives; returns how they ended, "" if far away."""
-        problem = self._problem
-        ahead = self._linearised_maximum(self._at.state, problem.normal(self._at.state, predicted, slopes))
-        while True:
+    def _descend(self, slopes: list[Array], predicted: Array, *, is_last: bool) -> str:
+        """Steps with one spectrum and one set of derivatives; returns how they ended, "" if both are wanted anew.
+
+        Where Gauss-Newton steps lead no nearer, how predictions move in the presence of the noise shows the way.
+        """
+        problem, mixed = self._problem, None
+        normal = problem.normal(self._at.state, predicted, slopes)
+        ahead = self._linearised_maximum(self._at.state, normal)
+        for _ in range(MAX_FINAL_STEPS):
             state, (maximum, step, gain) = self._at.state, ahead
             for part in SHORTER:
                 moved = State(
@@ -244,23 +257,50 @@ class Search:
                 )
                 answer = problem.predict([moved])[0]
                 if np.isfinite(answer).all():
-                    ahead = self._linearised_maximum(moved, problem.normal(moved, answer, slopes))
+                    there = problem.normal(moved, answer, slopes)
+                    ahead = self._linearised_maximum(moved, there, mixed)
                     if ahead.gain < gain:
                         break
             else:  # no part of the step leaves less to be gained
-                if self._distance() or self._calmed(maximum):
+                if (self._distance() and not is_last) or self._calmed(maximum):
                     return ""
-                return CONVERGED if step < LEAST_STEP else "no step leads nearer to the maximum"
+                if step < STALLED_STEP or gain < self._gain_of_other_draws(slopes, normal):
+                    return CONVERGED
+                if mixed is not None or not problem.is_noisy:
+                    return "no step leads nearer to the maximum"
+                mixed = mixed_information(problem, state, slopes, problem.slopes(state, noisy=True))
+                ahead = self._linearised_maximum(state, normal, mixed)
+                continue
             self._count(problem.cost(moved, answer), part * step)
-            self._at, predicted = replace(self._at, state=moved), answer
+            self._at, normal = replace(self._at, state=moved), there
             self._keep()
             if step < FINAL_STEP or (step < STALLED_STEP and gain - ahead.gain < NO_GAIN):
                 return CONVERGED
-            if part < 1.0 or self._distance() > FAR:
+            if not is_last and (part < 1.0 or self._distance() > FAR):
                 return ""
+        return f"not converged after {MAX_FINAL_STEPS} steps with the same weights and derivatives"
 
-    def _linearised_maximum(self, state: State, normal: Normal) -> "_Ahead":
-        """Maximum of the problem linearised at a state, spread included."""
+    def _gain_of_other_draws(self, slopes: list[Array], normal: Normal) -> float:
+        """How much is expected to be gained at this state by draws of another seed [-]."""
+        problem, draws = self._problem, self._at.draws
+        if draws is None:
+            return 0.0
+        even = np.array([even for _, even in problem.odd_and_even(self._at.state, draws)])
+        scores = [
+            problem.gathered(self._at.state, [a @ b for a, b in zip(slopes, problem.white(each), strict=True)])
+            for each in even - even.mean(axis=0)
+        ]
+        covariance = inverse(normal.matrix)
+        return float(np.mean([score @ covariance @ score for score in scores]) / (len(scores) - 1.0))
+
+    def _linearised_maximum(self, state: State, normal: Normal, mixed: Array | None = None) -> "_Ahead":
+        """Maximum of the problem linearised at a state, spread included.
+
+        Args:
+          state: where it is linearised.
+          normal: equations there.
+          mixed: how they change, see `mixed_information`; by default as without noise.
+        """
         problem, parameters = self._problem, self._problem.parameters
         n = len(state.point)
         old = np.concatenate([np.zeros(n), 1.0 / state.spread[problem.kind_of] ** 2])
@@ -273,8 +313,12 @@ class Search:
             covariance = np.zeros_like(matrix)
             covariance[np.ix_(free, free)] = inverse((matrix + np.diag(prior))[np.ix_(free, free)])
             score = np.where(free, slope - prior * np.concatenate([np.zeros(n), state.effects]), 0.0)
-            step = covariance @ score
-            gain = float(score @ step)
+            gain = float(score @ covariance @ score)
+            # A step that is held back in what is hardly known is made up for in the rest.
+            near = np.diag(prior + np.concatenate([np.full(n, REACH**-2), np.zeros(len(score) - n)]))
+            alone, moving = ((of + near)[np.ix_(free, free)] for of in (matrix, matrix if mixed is None else mixed))
+            step = np.zeros_like(score)
+            step[free] = (inverse(alone) if mixed is None else inverse_of_mixed(alone, moving)) @ score[free]
             step[:n] = np.clip(step[:n], -LONGEST, LONGEST)
             point = np.clip(state.point + step[:n], parameters.lower, parameters.upper)
             # The others make up for a parameter that stops at its bound.

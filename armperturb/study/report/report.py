@@ -101,8 +101,8 @@ def write_report(
         }
         units = [unit for of_kind in kinds.values() for unit in of_kind]
         with Progress("figures", total=len(units), unit="figures", show=show_progress) as bar:
-            results = iter(kept_or_computed(units, pool, bar))
-    made = {kind: list(islice(results, len(of_kind))) for kind, of_kind in kinds.items()}
+            drawn_or_kept = iter(kept_or_computed(units, pool, bar))
+    made = {kind: list(islice(drawn_or_kept, len(of_kind))) for kind, of_kind in kinds.items()}
     drawn, played = dict(zip(draws, made["drawn"], strict=True)), played_data(made["played"])
     (out / "figures").mkdir(exist_ok=True)
     pictures = {out / "figures" / f"{name}.svg": each for name, each in drawn.items() if isinstance(each, Picture)}
