@@ -264,7 +264,7 @@ class Search:
             else:  # no part of the step leaves less to be gained
                 if (self._distance() and not is_last) or self._calmed(maximum):
                     return ""
-                if step < STALLED_STEP or gain < self._gain_of_other_draws(slopes, normal):
+                if step < STALLED_STEP or gain < self._difference_of_seeds(slopes, normal):
                     return CONVERGED
                 if mixed is not None or not problem.is_noisy:
                     return "no step leads nearer to the maximum"
@@ -280,8 +280,8 @@ class Search:
                 return ""
         return f"not converged after {MAX_FINAL_STEPS} steps with the same weights and derivatives"
 
-    def _gain_of_other_draws(self, slopes: list[Array], normal: Normal) -> float:
-        """How much is expected to be gained at this state by draws of another seed [-]."""
+    def _difference_of_seeds(self, slopes: list[Array], normal: Normal) -> float:
+        """By how much fits with draws of two seeds are expected to differ [-]: in what is to be gained at this state."""
         problem, draws = self._problem, self._at.draws
         if draws is None:
             return 0.0
@@ -291,7 +291,8 @@ class Search:
             for each in even - even.mean(axis=0)
         ]
         covariance = inverse(normal.matrix)
-        return float(np.mean([score @ covariance @ score for score in scores]) / (len(scores) - 1.0))
+        of_one = np.mean([score @ covariance @ score for score in scores]) / (len(scores) - 1.0)
+        return float(2.0 * of_one)
 
     def _linearised_maximum(self, state: State, normal: Normal, mixed: Array | None = None) -> "_Ahead":
         """Maximum of the problem linearised at a state, spread included.
