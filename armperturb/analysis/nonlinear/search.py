@@ -281,7 +281,7 @@ class Search:
         return f"not converged after {MAX_FINAL_STEPS} steps with the same weights and derivatives"
 
     def _difference_of_seeds(self, slopes: list[Array], normal: Normal) -> float:
-        """By how much fits with draws of two seeds are expected to differ [-]: in what is to be gained at this state."""
+        """What is expected to be gained at this state by a fit with draws of another seed, if this one is at its end."""
         problem, draws = self._problem, self._at.draws
         if draws is None:
             return 0.0
