@@ -281,7 +281,7 @@ class Search:
         return f"not converged after {MAX_FINAL_STEPS} steps with the same weights and derivatives"
 
     def _difference_of_seeds(self, slopes: list[Array], normal: Normal) -> float:
-        """What is expected to be gained at this state by a fit with draws of another seed, if this one is at its end."""
+        """What a fit with draws of another seed is expected to have to gain at this state, if this one has nothing."""
         problem, draws = self._problem, self._at.draws
         if draws is None:
             return 0.0
