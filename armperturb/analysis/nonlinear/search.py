@@ -315,7 +315,7 @@ class Search:
             covariance[np.ix_(free, free)] = inverse((matrix + np.diag(prior))[np.ix_(free, free)])
             score = np.where(free, slope - prior * np.concatenate([np.zeros(n), state.effects]), 0.0)
             gain = float(score @ covariance @ score)
-            # A step that is held back in what is hardly known is made up for in the rest.
+            # A step that is held back in what is poorly determined is made up for in the rest.
             near = np.diag(prior + np.concatenate([np.full(n, REACH**-2), np.zeros(len(score) - n)]))
             alone, moving = ((of + near)[np.ix_(free, free)] for of in (matrix, matrix if mixed is None else mixed))
             step = np.zeros_like(score)
