@@ -49,15 +49,8 @@ class Normal(NamedTuple):
 class Problem(SimulatedTrials):
     """Simulated trials beside those that were recorded, and the noise as last estimated.
 
-    Args:
-      parameters: what is free.
-      sets: trials; each set has its own noise.
-      arms: condition to a linear arm near the person there.
-      threads: how many simulate at a time; no effect on the result.
-      emg: condition to the EMG of all its trials, of conditions that have some; None for the movement alone.
-
-    Raises:
-      ValueError: sampling rates differ.
+    Takes what `SimulatedTrials` takes, and `emg`: condition to the EMG of all its trials, of conditions that have some;
+    None for the movement alone.
     """
 
     def __init__(
