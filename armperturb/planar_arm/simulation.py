@@ -66,15 +66,6 @@ class Disturbances:
         other.torque = _halved(torque, self.decimation, straight=False)
         return other
 
-    def coarser(self, longest_step: float) -> "Disturbances":
-        """The same disturbances for a simulation with longer steps; these themselves, if its steps are no longer."""
-        rate = 1.0 / (self.timestep * self.decimation)
-        if _steps_per_sample(rate, longest_step) >= self.decimation:
-            return self
-        samples = slice(None, None, 2 * self.decimation)
-        other = Disturbances(self.force[:, samples], rate, self._threads, longest_step=longest_step)
-        return other.with_torque(self.torque[:, samples]) if len(self.torque) else other
-
     def responses(
         self,
         lanes: Table,

@@ -117,14 +117,6 @@ def test_an_arm_that_diverges_is_nan_from_there_on():
     assert lost[np.argmax(lost) :].all()
 
 
-def test_coarser_disturbances_are_the_same_in_longer_steps():
-    perturbation = made.push(0, 1.0, duration=2.0)[None]
-    fine, coarse = (Disturbances(perturbation, made.RATE, longest_step=step) for step in (1.2e-3, 5e-3))
-    assert fine.decimation > coarse.decimation
-    np.testing.assert_allclose(fine.coarser(5e-3).force, coarse.force, atol=1e-12)
-    assert coarse.coarser(5e-3) is coarse
-
-
 def test_what_the_compiled_arm_has_not_is_refused():
     with pytest.raises(ValueError, match=r"delay = 0.001 s; expected at least three steps of 0.0025 s"):
         lane_table([replace(RELAX, Td_s=0.001)], [Environment()], 2.5e-3)

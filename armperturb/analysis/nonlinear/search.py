@@ -19,6 +19,7 @@ import numpy as np
 from scipy import linalg
 
 from armperturb.analysis.nonlinear.draws import (
+    borne,
     inverse_of_mixed,
     mixed_information,
     predict_with_noise,
@@ -225,7 +226,9 @@ class Search:
         before = self._at.draws
         if before is None:
             return False
-        draws = predict_with_stable_noise(self._problem, at, before)
+        # For an arm elsewhere noise is drawn anew, but not made weaker, which would not end where it is unstable.
+        draws = before if at is self._at.state else borne(self._problem, at, before)
+        draws = predict_with_stable_noise(self._problem, self._at.state, draws)
         n_trials = self._problem.n_trials
         if draws.strengths is before.strengths and np.array_equal(
             draws.attempted(n_trials), before.attempted(n_trials)
@@ -283,7 +286,7 @@ class Search:
     def _difference_of_seeds(self, slopes: list[Array], normal: Normal) -> float:
         """What a fit with draws of another seed is expected to have to gain at this state, if this one has nothing."""
         problem, draws = self._problem, self._at.draws
-        if draws is None:
+        if draws is None or draws.n_pairs < 2:  # one pair does not tell how others differ
             return 0.0
         even = np.array([even for _, even in problem.odd_and_even(self._at.state, draws)])
         scores = [
