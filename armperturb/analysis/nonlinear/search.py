@@ -226,15 +226,21 @@ class Search:
         before = self._at.draws
         if before is None:
             return False
-        # For an arm elsewhere noise is drawn anew, but not made weaker, which would not end where it is unstable.
-        draws = before if at is self._at.state else borne(self._problem, at, before)
-        draws = predict_with_stable_noise(self._problem, self._at.state, draws)
+        here = self._at.state
+        if at is here:
+            draws = predict_with_stable_noise(self._problem, at, before)
+        else:  # not made weaker, which would not end where the arm is unstable
+            draws = borne(self._problem, at, before)
+            self._problem.predict_with(draws)
+            if not np.isfinite(self._problem.predict([here])).all():
+                self._problem.predict_with(before)
+                return False
         n_trials = self._problem.n_trials
         if draws.strengths is before.strengths and np.array_equal(
             draws.attempted(n_trials), before.attempted(n_trials)
         ):
             return False
-        self._at = replace(self._at, draws=draws, reference=self._at.state, n_references=0)
+        self._at = replace(self._at, draws=draws, reference=here, n_references=0)
         self._keep()
         return True
 
