@@ -19,7 +19,6 @@ import numpy as np
 from scipy import linalg
 
 from armperturb.analysis.nonlinear.draws import (
-    borne,
     inverse_of_mixed,
     mixed_information,
     predict_with_noise,
@@ -165,6 +164,7 @@ class Search:
             message, slopes = self._finish()
             if not self._calmed(self._at.state):
                 break
+            self._at = replace(self._at, n_references=0)
         return self._at, message, slopes
 
     def _enter(self, stage: Stage, draws: NoiseDraws | None) -> None:
@@ -226,21 +226,13 @@ class Search:
         before = self._at.draws
         if before is None:
             return False
-        here = self._at.state
-        if at is here:
-            draws = predict_with_stable_noise(self._problem, at, before)
-        else:  # not made weaker, which would not end where the arm is unstable
-            draws = borne(self._problem, at, before)
-            self._problem.predict_with(draws)
-            if not np.isfinite(self._problem.predict([here])).all():
-                self._problem.predict_with(before)
-                return False
+        draws = predict_with_stable_noise(self._problem, at, before)
         n_trials = self._problem.n_trials
         if draws.strengths is before.strengths and np.array_equal(
             draws.attempted(n_trials), before.attempted(n_trials)
         ):
             return False
-        self._at = replace(self._at, draws=draws, reference=here, n_references=0)
+        self._at = replace(self._at, draws=draws, reference=self._at.state)
         self._keep()
         return True
 
@@ -271,7 +263,7 @@ class Search:
                     if ahead.gain < gain:
                         break
             else:  # no part of the step leaves less to be gained
-                if (self._distance() and not is_last) or self._calmed(maximum):
+                if not is_last and (self._distance() or self._calmed(maximum)):
                     return ""
                 if step < STALLED_STEP or gain < self._difference_of_seeds(slopes, normal):
                     return CONVERGED
