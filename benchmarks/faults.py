@@ -24,6 +24,7 @@ import io
 import os
 import shutil
 import signal
+import stat
 import sys
 import tempfile
 import threading
@@ -82,8 +83,7 @@ class Fault:
         """The function, the n-th call of which fails."""
 
         def called(*args: Any, **options: Any) -> Any:
-            mode = str(options.get("mode", args[1] if len(args) > 1 else "r"))
-            if self._is_forking or (self.kind == "write" and not set(mode) & set("wxa")):
+            if self._is_forking or (self.kind == "write" and not writes_a_file(*args, **options)):
                 return function(*args, **options)
             self.places.append(hash(tuple((frame.f_code, line) for frame, line in traceback.walk_stack(None))))
             if len(self.places) in self.in_children and may_fork():
@@ -99,7 +99,7 @@ class Fault:
             if self.kind == "write":
                 # What could still be written is there.
                 with function(*args, **options) as file:
-                    file.write("half" if "b" not in mode else b"half")
+                    file.write("half" if isinstance(file, io.TextIOBase) else b"half")
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
         return called
@@ -116,6 +116,11 @@ class Fault:
         finally:
             for patch in patches:
                 patch.stop()
+
+
+def writes_a_file(file: Any, mode: str = "r", *_: Any, **__: Any) -> bool:
+    """Whether what is opened so is a file that is written; no pipe, which a child would share with this process."""
+    return bool(set(mode) & set("wxa")) and not (isinstance(file, int) and stat.S_ISFIFO(os.fstat(file).st_mode))
 
 
 def done_at_once(pool: ThreadPoolExecutor, function: Callable[..., Any], *args: Any, **options: Any) -> "Future[Any]":
