@@ -1,68 +1,24 @@
-"""The section EMG of the report: what is kept, shown and written of it."""
+"""The section EMG of the report: what is shown and written of it."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from armperturb.analysis.emg.activity import relaxation_sentence
 from armperturb.analysis.emg.reflex import DELAYS
-from armperturb.recording_files import load_recording
 from armperturb.study.comparison.cocontraction import cocontraction_tests
-from armperturb.study.recording.folder import ANALYSIS
 from armperturb.study.report.figures import emg as emg_figures
-from armperturb.study.results.cache import CachedResult, Unit
-from armperturb.study.results.cases import Case
-from armperturb.study.results.emg import PersonEmg, person_emg
-from armperturb.study.results.mean_admittance import main_conditions
 from armperturb.study.results.study_result import StudyResult
 
 CLEAR = 0.001
 """Level at which a muscle counts as responding to rotation [-]."""
 
 
-def emg_units(study: StudyResult, checksums: Mapping[str, str], out: Path) -> list[Unit[PersonEmg]]:
-    """What analyses each person's EMG, if the result is not kept, as results are.
-
-    Args:
-      study: analysed; its recordings must still be there.
-      checksums: file name of each recording to its checksum.
-      out: the study folder.
-    """
-    case = _shown_case(study)
-    units: list[Unit[PersonEmg]] = []
-    for name, path in study.recordings.items():
-        shown = case.condition if case is not None and case.name == name else None
-        cached = CachedResult(
-            path=out / ANALYSIS / f"{path.stem}-emg.json.gz",
-            kind="emg",
-            result=PersonEmg,
-            recordings={path.name: checksums[path.name]},
-            settings={"shown": shown.name} if shown else {},
-        )
-        units.append(Unit(cached=cached, run=partial(person_emg, name, path, shown)))
-    # Whose figures are shown takes longest, and comes first so that workers end together.
-    return sorted(units, key=lambda unit: not unit.cached.settings)
-
-
-def emg_people(study: StudyResult, results: Sequence[PersonEmg]) -> tuple[PersonEmg, ...]:
-    """People in the order of the study, of the results of `emg_units`; empty if nobody has any EMG."""
-    of = {person.name: person for person in results}
-    return tuple(of[name] for name in study.recordings) if any(person.levels for person in results) else ()
-
-
-def _shown_case(study: StudyResult) -> Case | None:
-    """Whose EMG figures show: the first person with any in the main condition of the position task."""
-    main = main_conditions(study)
-    cases = study.of(main["PT"].name) if "PT" in main else []
-    return next((case for case in cases if "emg_rate" in load_recording(case.recording, ()).attrs), None)
-
-
-def emg_drawings(study: StudyResult, people: Sequence[PersonEmg]) -> "dict[str, partial[Any]]":
+def emg_drawings(study: StudyResult) -> "dict[str, partial[Any]]":
     """Figures of the section, by name."""
-    there = tuple(person for person in people if person.levels)
+    there = tuple(person for person in study.emg if person.levels)
     if not there:
         return {}
     drawn = {"emg_cocontraction": partial(emg_figures.cocontraction, there, study.protocol.conditions)}
@@ -75,37 +31,37 @@ def emg_drawings(study: StudyResult, people: Sequence[PersonEmg]) -> "dict[str, 
     return drawn
 
 
-def relaxation(study: StudyResult, people: Sequence[PersonEmg]) -> str:
+def relaxation(study: StudyResult) -> str:
     """Whether people relaxed, in one sentence; empty without EMG."""
-    there = [person.activity for person in people if person.levels]
+    there = [person.activity for person in study.emg if person.levels]
     conditions = [condition.name for condition in study.protocol.conditions if condition.task == "RT"]
     return relaxation_sentence(there, conditions) if there and conditions else ""
 
 
-def emg_rows(study: StudyResult, people: Sequence[PersonEmg]) -> dict[str, list[dict[str, Any]]]:
+def emg_rows(study: StudyResult) -> dict[str, list[dict[str, Any]]]:
     """Tables of EMG, by name."""
-    levels = [{"subject": person.name, **row._asdict()} for person in people for row in person.levels]
+    levels = [{"subject": person.name, **row._asdict()} for person in study.emg for row in person.levels]
     index = [
         {"subject": person.name, **dict(zip(("condition", "part", "joint", "index", "ratio"), row, strict=True))}
-        for person in people
+        for person in study.emg
         for row in person.cocontraction
     ]
-    delays = [{"subject": person.name, **row._asdict()} for person in people for row in person.reflexes]
-    tests = [test._asdict() for test in cocontraction_tests(people, study.protocol.conditions)]
+    delays = [{"subject": person.name, **row._asdict()} for person in study.emg for row in person.reflexes]
+    tests = [test._asdict() for test in cocontraction_tests(study.emg, study.protocol.conditions)]
     tables = {"emg_levels": levels, "emg_cocontraction": index, "emg_reflexes": delays, "emg_tests": tests}
     return {name: rows for name, rows in tables.items() if rows}
 
 
-def emg_section(study: StudyResult, people: Sequence[PersonEmg]) -> dict[str, Any]:
+def emg_section(study: StudyResult) -> dict[str, Any]:
     """What the template shows."""
-    rows = emg_rows(study, people)
+    rows = emg_rows(study)
     return {
-        "relaxation": relaxation(study, people),
-        "unit": next(person.unit for person in people if person.unit),
+        "relaxation": relaxation(study),
+        "unit": next(person.unit for person in study.emg if person.unit),
         "index": _indices(rows.get("emg_cocontraction", [])),
         "tests": rows.get("emg_tests", []),
         "delays": _delays(rows.get("emg_reflexes", [])),
-        "remarks": [line for person in people for line in person.remarks],
+        "remarks": [line for person in study.emg for line in person.remarks],
         "levels": _levels(rows.get("emg_levels", [])),
     }
 

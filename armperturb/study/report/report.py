@@ -17,7 +17,7 @@ from armperturb.study.experiments.mechanisms import Yielding, has_law, why_peopl
 from armperturb.study.experiments.moving_shoulder import MovingShoulder, moving_shoulder
 from armperturb.study.recording.folder import ANALYSIS, require_own_results
 from armperturb.study.recording.record import worker_count
-from armperturb.study.report.emg import emg_drawings, emg_people, emg_rows, emg_units
+from armperturb.study.report.emg import emg_drawings, emg_rows
 from armperturb.study.report.figures.catalogue import drawings
 from armperturb.study.report.films import film_units
 from armperturb.study.report.findings import excess_rows, finding_rows, findings
@@ -35,9 +35,6 @@ from armperturb.workers import LocalProcesses, require_workers, workers_for
 
 MOST_WORKERS = 8
 """Processes that drawing is shared between at most: each has to load what draws."""
-
-FIRST_STAGE = "mechanisms and EMG"
-"""Label of what is computed before figures can be drawn."""
 
 
 def write_report(
@@ -84,13 +81,11 @@ def write_report(
         if scored is not None:
             write_score(scored, out / "score")
         simulations = _simulations(study, out) if simulate else {}
-        first = [*simulations.values(), *emg_units(study, checksums, out)]
-        with Progress(FIRST_STAGE, total=len(first), unit="results", show=show_progress) as bar:
-            results = kept_or_computed(first, pool, bar)
-        simulated = dict(zip(simulations, results, strict=False))
+        with Progress("mechanisms", total=len(simulations), unit="simulations", show=show_progress) as bar:
+            results = kept_or_computed(list(simulations.values()), pool, bar)
+        simulated = dict(zip(simulations, results, strict=True))
         yielding, shoulder = simulated.get("mechanisms"), simulated.get("moving-shoulder")
-        emg = emg_people(study, results[len(simulations) :])
-        every = {**drawings(study, tested, yielding), **emg_drawings(study, emg)}
+        every = {**drawings(study, tested, yielding), **emg_drawings(study)}
         draws = {name: draw for name, draw in every.items() if figures is None or name in figures}
         pulses = draws["stills"].args[-1] if "stills" in draws else ()
         # What takes longest comes first, so that workers end together.
@@ -118,13 +113,13 @@ def write_report(
         "yielding": yielding.rows() if yielding else [],
         "moving_shoulder": shoulder.rows if shoulder else [],
         **nonlinear_tables(study),
-        **emg_rows(study, emg),
+        **emg_rows(study),
     }
     for name, lines in more.items():
         if lines:
             write_csv(lines, out / "tables" / f"{name}.csv")
     films = made["films"][0] if made["films"] else ""
-    parts = sections(study, scored, tested, rows, yielding, shoulder, drawn, played, films, emg)
+    parts = sections(study, scored, tested, rows, yielding, shoulder, drawn, played, films)
     page = _page(study, parts, drawn, checksums)
     report = out / "report.html"
     write_whole(report, page)

@@ -24,7 +24,6 @@ from armperturb.study.report.nonlinear_tables import SHOWN_MODELS, nonlinear_tab
 from armperturb.study.report.published_tables import published_tables
 from armperturb.study.report.tables import Row, mean_sd_of
 from armperturb.study.report.words import WORDS
-from armperturb.study.results.emg import PersonEmg
 from armperturb.study.results.mean_admittance import main_conditions
 from armperturb.study.results.quantities import Cell, published_cells
 from armperturb.study.results.study_result import StudyResult
@@ -49,7 +48,6 @@ def sections(
     drawn: Collection[str],
     played: Sequence[Mapping[str, Any]] = (),
     films: Films | str = "",
-    emg: Sequence[PersonEmg] = (),
 ) -> dict[str, dict[str, Any]]:
     """All sections that a study has content for, in order: template to what it shows beside what all sections know.
 
@@ -63,7 +61,6 @@ def sections(
       drawn: names of the figures that are there.
       played: people whose trials are played, see `played.played_data`.
       films: of pulses; the reason if this machine cannot make any.
-      emg: what everybody's EMG tells; empty without any.
     """
     conditions = study.protocol.conditions
     # In which people shall move further, or less far, in the experiment than in practice.
@@ -76,7 +73,7 @@ def sections(
             "rows": rows["summary"],
             "findings": ratios,
             "alone": alone,
-            "relaxation": relaxation(study, emg),
+            "relaxation": relaxation(study),
             "fits": rows["fits"],
             **flagged,
             "differ": of_study.estimators_differ(rows["estimates"]),
@@ -101,8 +98,8 @@ def sections(
             "headlines": score
             and [line for line in score.headlines if "pulse" in line.name and not line.name.startswith("p_")],
         }
-    if emg:
-        contexts["emg"] = emg_section(study, emg)
+    if study.emg:
+        contexts["emg"] = emg_section(study)
     if study.nonlinear:
         contexts["nonlinear"] = _nonlinear(study)
     if effects.rows or effects.admittance:

@@ -25,6 +25,8 @@ from armperturb.study.recording.settings import BLOCK, StudySettings
 from armperturb.study.results.appendix_fits import Appendices, Key, SecondStep, fit_second_step, joined, means_of
 from armperturb.study.results.cache import CachedResult, Unit, computed, kept_or_computed, reusable
 from armperturb.study.results.cases import Case
+from armperturb.study.results.emg import PersonEmg, person_emg
+from armperturb.study.results.mean_admittance import main_conditions
 from armperturb.study.results.nonlinear_fits import NonlinearFit, fit_nonlinear
 from armperturb.study.results.person import PersonResults, analyse_person
 from armperturb.study.results.settings import AnalysisSettings
@@ -98,9 +100,10 @@ def analyse_study(
     require_own_results(root)
     study, missing = _Study.find(root, settings or AnalysisSettings())
     with workers_for(worker_count(workers, len(study.paths)), None) as pool:
-        with Progress("analysis", total=2 * len(study.paths), unit="steps", show=show_progress) as bar:
+        with Progress("analysis", total=3 * len(study.paths), unit="steps", show=show_progress) as bar:
             people = study.people(pool, bar)
             appendices, second = study.appendices(people, pool, bar)
+            emg = study.emg(people, pool, bar)
         fits, stale = _nonlinear(study.nonlinear_units(people), nonlinear, pool, show_progress)
     if study.made:
         missing += [line for person in people.values() for line in person.missing]
@@ -110,16 +113,10 @@ def analyse_study(
     remarks += [
         f"{fit.name} was not identified nonlinearly in {fit.label}: {fit.failed}" for fit in fits.values() if fit.failed
     ]
-    return StudyResult(
-        made=study.made,
-        protocol=study.protocol,
-        environment=study.environment if study.made else _measured(people.values()),
-        recorded=study.recorded,
-        cohort=study.cohort,
-        cases=tuple(study.with_truth(case) for person in people.values() for case in person.cases),
-        recordings={person.measures.name: path for path, person in people.items()},
-        people=tuple(person.measures for person in people.values()),
+    return replace(
+        study.result(people),
         appendices=appendices,
+        emg=emg,
         nonlinear=tuple(fits.values()),
         missing=tuple(missing),
         remarks=tuple(remarks),
@@ -251,6 +248,37 @@ class _Study:
         second = kept_or_computed(units, pool, bar)
         return Appendices(first=first, second=joined(step.estimates for step in second), starts=starts), second
 
+    def result(self, people: Mapping[Path, PersonResults]) -> StudyResult:
+        """The study with what each recording tells by itself."""
+        return StudyResult(
+            made=self.made,
+            protocol=self.protocol,
+            environment=self.environment if self.made else _measured(people.values()),
+            recorded=self.recorded,
+            cohort=self.cohort,
+            cases=tuple(self.with_truth(case) for person in people.values() for case in person.cases),
+            recordings={person.measures.name: path for path, person in people.items()},
+            people=tuple(person.measures for person in people.values()),
+        )
+
+    def emg(self, people: Mapping[Path, PersonResults], pool: Workers | None, bar: Progress) -> tuple[PersonEmg, ...]:
+        """What everybody's EMG tells; empty if nobody has any."""
+        case = _shown_case(self.result(people))
+        units: list[Unit[PersonEmg]] = []
+        for path, person in people.items():
+            name = person.measures.name
+            shown = case.condition if case is not None and case.name == name else None
+            cached = CachedResult(
+                path=self._file(path, "-emg"),
+                kind="emg",
+                result=PersonEmg,
+                recordings={path.name: self.paths[path]},
+                settings={"shown": shown.name} if shown else {},
+            )
+            units.append(Unit(cached=cached, run=partial(person_emg, name, path, shown)))
+        results = kept_or_computed(units, pool, bar)
+        return tuple(results) if any(person.levels for person in results) else ()
+
     def nonlinear_units(self, people: Mapping[Path, PersonResults]) -> list[_NonlinearUnit]:
         """Every person in either task, without pulses."""
         units = []
@@ -333,6 +361,13 @@ def _recorded(root: Path, paths: Sequence[Path], missing: list[str]) -> tuple[Pr
     known = {condition.name for condition in conditions}
     protocol = replace(THESIS, conditions=conditions, pulse_unit_condition=unit if unit in known else "")
     return protocol, {condition.name: counts[condition.name] for condition in conditions}
+
+
+def _shown_case(study: StudyResult) -> Case | None:
+    """Whose EMG figures show: the first person with any in the main condition of the position task."""
+    main = main_conditions(study)
+    cases = study.of(main["PT"].name) if "PT" in main else []
+    return next((case for case in cases if "emg_rate" in load_recording(case.recording, ()).attrs), None)
 
 
 def _measured(people: Iterable[PersonResults]) -> Environment:

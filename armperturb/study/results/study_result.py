@@ -17,6 +17,7 @@ from armperturb.study.protocol import Condition, Protocol
 from armperturb.study.recording.manifest import Manifest
 from armperturb.study.results.appendix_fits import Appendices
 from armperturb.study.results.cases import Case
+from armperturb.study.results.emg import PersonEmg
 from armperturb.study.results.nonlinear_fits import NonlinearFit
 from armperturb.study.results.trial_measures import PersonMeasures
 
@@ -38,6 +39,7 @@ class StudyResult(results.Result):
       recordings: everyone who was recorded, in order, to the path of the recording.
       people: what the thesis reports of each person.
       appendices: fits of appendices C to E.
+      emg: what everybody's EMG tells, people in order; empty if nobody has any.
       nonlinear: nonlinear fits, those that failed too; empty if nobody asked for any.
       missing: what the folder lacks, or how it was made otherwise; one line each.
       remarks: why parts of what is there were left out, likewise.
@@ -52,6 +54,7 @@ class StudyResult(results.Result):
     recordings: Mapping[str, Path] = field(default_factory=dict)
     people: tuple[PersonMeasures, ...] = ()
     appendices: Appendices = field(default_factory=Appendices)
+    emg: tuple[PersonEmg, ...] = ()
     nonlinear: tuple[NonlinearFit, ...] = ()
     missing: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()

@@ -13,6 +13,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from armperturb import archive
@@ -44,6 +45,8 @@ def differences(a, b, where="result", rel=0.0):
         if a.dtype != b.dtype or a.shape != b.shape or a.dtype.kind not in "fc":
             return [] if np.array_equal(a, b) else [where]
         return [] if np.allclose(a, b, rtol=rel, atol=0.0, equal_nan=True) else [where]
+    if isinstance(a, pd.DataFrame):
+        return differences(a.to_dict("list"), b.to_dict("list"), where, rel)
     if isinstance(a, Mapping):
         if list(a) != list(b):
             return [f"{where}: {list(a)} and {list(b)}"]
@@ -137,6 +140,11 @@ def test_what_is_kept_is_what_was_computed(thesis_study, asked):
     assert (len(again.people), len(again.cases)) == (3, 3 * 6)
     assert (len(again.appendices.first), len(again.appendices.second)) == (2, 6)
     assert len(again.appendices.starts) > 6
+    assert [(each.name, each.shown is not None) for each in again.emg] == [
+        ("S01", True),
+        ("S02", False),
+        ("S03", False),
+    ]
 
 
 def test_other_recordings_and_settings_are_analysed_anew(lacking, asked, monkeypatch):
