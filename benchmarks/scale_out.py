@@ -46,6 +46,13 @@ def cost(people: int, dask: bool) -> dict[str, float]:
     return {"people": people, "wall": took, "processor": spent, "memory": memory.peak / 2**20}
 
 
+def cost_alone(people: int, *, dask: bool = False) -> dict[str, float]:
+    """The same in a process of its own, which holds nothing else."""
+    command = [sys.executable, "-m", "benchmarks.scale_out", "--alone", "--people", str(people)]
+    run = subprocess.run(command + ["--dask"] * dask, check=True, capture_output=True, text=True)
+    return dict(json.loads(run.stdout.splitlines()[-1]))
+
+
 def draw(costs: list[dict[str, float]], picture: Path) -> None:
     """Each cost against people."""
     figure, axes = plt.subplots(1, 3, figsize=(9.0, 2.8), layout="constrained")
@@ -73,9 +80,7 @@ def main(arguments: list[str] | None = None) -> None:
         return
     costs = []
     for people in options.people:
-        command = [sys.executable, "-m", "benchmarks.scale_out", "--alone", "--people", str(people)]
-        run = subprocess.run(command + ["--dask"] * options.dask, check=True, capture_output=True, text=True)
-        costs.append(each := json.loads(run.stdout.splitlines()[-1]))
+        costs.append(each := cost_alone(people, dask=options.dask))
         print(
             f"{people:6d} people: {each['wall']:6.1f} s wall on {os.cpu_count()} cores, {each['processor']:6.1f} s of "
             f"processor time ({1e3 * each['processor'] / people:.0f} ms a person), {each['memory']:.0f} MiB",

@@ -27,7 +27,7 @@ from armperturb.study.recording.settings import StudySettings
 from armperturb.study.report.report import write_report
 from armperturb.study.results.analyse import analyse_study
 from armperturb.subject import POSITION, RELAX
-from benchmarks.scale_out import cost
+from benchmarks.scale_out import cost_alone
 from benchmarks.simulation import batch, in_turns, trials_of
 
 SETTLED = 20.0
@@ -127,7 +127,7 @@ def environments() -> Iterator[Row]:
 
 def cohort() -> Iterator[Row]:
     """1,000 people who practise, and are simulated and measured."""
-    spent = cost(1000, dask=False)
+    spent = cost_alone(1000)
     yield Row("1,000 people x 32 trials, compiled", spent["wall"], 360.0, "s")
     yield Row("their memory", spent["memory"], 1024.0, "MiB")
 
