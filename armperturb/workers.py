@@ -4,6 +4,7 @@ Work is divided into units, each of which a pure function computes. A unit whose
 again, and the assignment of units to workers has no effect on any file.
 """
 
+import gc
 import importlib
 import logging
 import os
@@ -425,5 +426,9 @@ def _begin(parent: int, modules: Sequence[str]) -> None:
     threading.Thread(target=watch, daemon=True).start()
     warnings.formatwarning = lambda message, *_: f"armperturb: warning: {' '.join(str(message).split())}\n"
     warnings.filterwarnings("ignore", HELPER_DIED, UserWarning)
+    # Modules are no garbage: looking for it among them takes a sixth of the time that they take to load.
+    gc.disable()
     for module in modules:
         importlib.import_module(module)
+    gc.freeze()
+    gc.enable()

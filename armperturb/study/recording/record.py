@@ -114,7 +114,7 @@ def record_study(
         if missing:
             n_trials = len(protocol.planned_trials())
             with (
-                workers_for(worker_count(workers, len(missing)), dask) as pool,
+                workers_for(worker_count(workers, len(missing)), dask, [__name__]) as pool,
                 _Bar(len(people) * n_trials, len(done) * n_trials, protocol.trial_duration, show_progress) as bar,
             ):
                 units = _units(missing, settings, protocol, folder, pool, block)

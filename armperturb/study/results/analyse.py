@@ -99,7 +99,7 @@ def analyse_study(
     require_workers("analysis", workers)
     require_own_results(root)
     study, missing = _Study.find(root, settings or AnalysisSettings())
-    with workers_for(worker_count(workers, len(study.paths)), None) as pool:
+    with workers_for(worker_count(workers, len(study.paths)), None, [__name__]) as pool:
         with Progress("analysis", total=3 * len(study.paths), unit="steps", show=show_progress) as bar:
             people = study.people(pool, bar)
             appendices, second = study.appendices(people, pool, bar)
