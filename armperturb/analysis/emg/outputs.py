@@ -77,7 +77,7 @@ def reflex_outputs(trials: ConditionTrials, envelopes: Envelopes) -> ReflexOutpu
             "expected the same trials"
         )
     window = RecordWindow.of(trials)
-    amplitude = np.nan_to_num(envelopes.amplitude_of(envelopes.power[rows]))
+    amplitude = np.nan_to_num(envelopes.amplitudes(rows))
     groups, differences = [], []
     for joints in GROUPS:
         sides = [

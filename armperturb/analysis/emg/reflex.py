@@ -164,7 +164,7 @@ def reflexes(trials: ConditionTrials, envelopes: Envelopes, *, window_start: flo
     length = min(ends[k] for k in used) - first
     frequency = fft.rfftfreq(length, 1.0 / rate)
     inside = (frequency >= BAND[0]) & (frequency < BAND[1])
-    amplitude = envelopes.amplitude_of(envelopes.power[rows])
+    amplitude = envelopes.amplitudes(rows)
     taper = np.hanning(length)[None, :, None]
 
     def spectrum(values: Array) -> ComplexArray:

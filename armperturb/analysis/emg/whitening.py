@@ -266,22 +266,26 @@ def _without_phase(frequency: Array, highpass: HighPass) -> NDArray[np.complex64
     return np.exp(np.complex64(-1j) * phase.astype(np.float32))
 
 
-def averaged(white: NDArray[Any], rate: float, start: Array, end: Array) -> Array:
-    """Mean square of a signal between times, (interval,), the ends of which need not fall on samples.
+class Intervals:
+    """Parts of a signal, the ends of which need not fall on samples.
 
     Args:
-      white: (time,).
+      n: samples of the signal.
       rate: of the samples [Hz].
       start: of each interval [s], (interval,).
       end: likewise.
     """
-    n = len(white)
-    # A sample stands for the time about it.
-    edges = np.clip(np.stack([start, end]) * rate + 0.5, 0.0, n)
-    whole = np.minimum(edges.astype(int), n - 1)
-    part = edges - whole
-    summed = np.zeros(n + 1)
-    np.multiply(white, white, out=summed[1:])
-    np.cumsum(summed[1:], out=summed[1:])
-    at_edge = summed[whole] * (1.0 - part) + summed[whole + 1] * part
-    return np.asarray((at_edge[1] - at_edge[0]) / np.maximum(edges[1] - edges[0], 1e-9))
+
+    def __init__(self, n: int, rate: float, start: Array, end: Array) -> None:
+        # A sample stands for the time about it.
+        edges = np.clip(np.stack([start, end]) * rate + 0.5, 0.0, n)
+        self._whole = np.minimum(edges.astype(int), n - 1)
+        self._part = edges - self._whole
+        self._size = np.maximum(edges[1] - edges[0], 1e-9)
+        self._summed = np.zeros(n + 1)
+
+    def mean(self, values: NDArray[Any]) -> Array:
+        """Mean of a signal (time,) in each interval, (interval,)."""
+        np.cumsum(values, out=self._summed[1:], dtype=float)
+        at_edge = self._summed[self._whole] * (1.0 - self._part) + self._summed[self._whole + 1] * self._part
+        return np.asarray((at_edge[1] - at_edge[0]) / self._size)

@@ -176,7 +176,12 @@ def _shown(
     same = [part for part in trials.values() if part.recording["task"].values[0] == condition.task]
     with_pulses = [part for part in same if (part.onset < part.n_samples).any()]
     return ShownEmg(
-        envelopes=replace(amplitudes, labels=amplitudes.labels[is_first], power=amplitudes.power[is_first]),
+        envelopes=replace(
+            amplitudes,
+            labels=amplitudes.labels[is_first],
+            power=amplitudes.power[is_first],
+            rectified=amplitudes.rectified[is_first],
+        ),
         onsets=onsets(with_pulses, amplitudes) if condition.pulse_levels else None,
         reflexes=of_conditions[condition.name],
     )

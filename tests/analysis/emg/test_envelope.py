@@ -97,6 +97,21 @@ def test_envelope_is_in_step_with_signals_that_a_filter_delays():
         assert -phase / (2 * np.pi * 4.0) == pytest.approx(lead, abs=1e-3)
 
 
+def test_fast_changes_leave_slow_ones_of_the_difference_of_antagonists_as_they_are():
+    """The difference of the roots of powers grows by 4 % with such fast ones."""
+
+    def slow(fast):
+        push = 0.15 * np.sin(2 * np.pi * TIME) + fast * np.sin(2 * np.pi * 27.0 * TIME)
+        drive = 0.1 + np.stack([np.maximum(push, 0.0), np.maximum(-push, 0.0)])
+        result = envelopes(recorded(drive * noise((40, 2, N))))
+        volts = (result.amplitude * result.reference_volts).mean(axis=0)
+        wave = np.exp(-2j * np.pi * np.arange(len(volts)) / RATE)
+        return 2.0 * abs(np.mean((volts[:, 0] - volts[:, 1]) * wave))
+
+    found = [slow(fast) for fast in (0.0, 0.2)]
+    assert found == pytest.approx([0.15, 0.15], rel=0.01)
+
+
 def test_the_delay_of_an_amplifier_that_is_known_is_undone():
     within, modulated = slice(100, -100), 20.0
     volts = (0.3 + 0.2 * np.sin(2 * np.pi * modulated * TIME)) * noise((10, 2, N))
