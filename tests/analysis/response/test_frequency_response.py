@@ -100,7 +100,10 @@ def excited():
     }
 
 
-@pytest.mark.parametrize("way", ["clusters", "odd lines", "all lines", "noise", "unequal"])
+NOISE = pytest.param("noise", marks=pytest.mark.slow(reason="averages over noise"))
+
+
+@pytest.mark.parametrize("way", ["clusters", "odd lines", "all lines", NOISE, "unequal"])
 @pytest.mark.parametrize("what", list(TRUE))
 def test_known_load_from_every_excitation(excited, way, what):
     recordings, estimate = excited[way]
@@ -125,7 +128,7 @@ def measured():
     }
 
 
-@pytest.mark.parametrize("way", ["clusters", "odd lines", "clusters, unequal", "noise", "noise, unequal"])
+@pytest.mark.parametrize("way", ["clusters", "odd lines", "clusters, unequal", NOISE, "noise, unequal"])
 def test_known_load_by_the_thesis_instruments(measured, way):
     recordings, estimate = measured[way]
     found = estimate(recordings)
