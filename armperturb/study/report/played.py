@@ -117,7 +117,7 @@ def played_person(
       OSError: the recording is gone.
       ValueError: it cannot be read.
     """
-    recording = load_recording(path)
+    recording = load_recording(path, ())
     l_h, l_f = (float(recording[name].values[0]) if name in recording else math.nan for name in ("l_h", "l_f"))
     if not math.isfinite(l_h + l_f):
         return PlayedPerson(name, l_h, l_f, (math.nan, math.nan), ())

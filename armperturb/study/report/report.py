@@ -81,9 +81,11 @@ def write_report(
         if scored is not None:
             write_score(scored, out / "score")
         simulations = _simulations(study, out) if simulate else {}
-        with Progress("mechanisms", total=len(simulations), unit="simulations", show=show_progress) as bar:
-            results = kept_or_computed(list(simulations.values()), pool, bar)
-        simulated = dict(zip(simulations, results, strict=True))
+        # What figures need, and what else keeps workers busy meanwhile.
+        first = [*simulations.values(), *played_units(study, checksums, out)]
+        with Progress("simulations", total=len(first), unit="simulations", show=show_progress) as bar:
+            results = kept_or_computed(first, pool, bar)
+        simulated = dict(zip(simulations, results, strict=False))
         yielding, shoulder = simulated.get("mechanisms"), simulated.get("moving-shoulder")
         every = {**drawings(study, tested, yielding), **emg_drawings(study)}
         draws = {name: draw for name, draw in every.items() if figures is None or name in figures}
@@ -92,13 +94,12 @@ def write_report(
         kinds: dict[str, list[Unit[Any]]] = {
             "films": film_units(pulses, checksums, out),
             "drawn": picture_units(draws, checksums, out),
-            "played": played_units(study, checksums, out),
         }
         units = [unit for of_kind in kinds.values() for unit in of_kind]
         with Progress("figures", total=len(units), unit="figures", show=show_progress) as bar:
             drawn_or_kept = iter(kept_or_computed(units, pool, bar))
     made = {kind: list(islice(drawn_or_kept, len(of_kind))) for kind, of_kind in kinds.items()}
-    drawn, played = dict(zip(draws, made["drawn"], strict=True)), played_data(made["played"])
+    drawn, played = dict(zip(draws, made["drawn"], strict=True)), played_data(results[len(simulations) :])
     (out / "figures").mkdir(exist_ok=True)
     pictures = {out / "figures" / f"{name}.svg": each for name, each in drawn.items() if isinstance(each, Picture)}
     with written_together(pictures) as temporary:
