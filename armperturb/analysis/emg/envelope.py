@@ -302,7 +302,7 @@ def envelopes(
     compared = np.empty((len(names), min(volts.shape[1], CORRELATED)), dtype=np.float32)
     for trial, values in enumerate(volts):
         for column, name in enumerate(names):  # one after the other, for the sake of memory
-            channel = values[:, column]
+            channel = np.ascontiguousarray(values[:, column])
             white = filtered(channel, column)
             compared[column] = white[: compared.shape[1]]
             power[trial, :, column] = intervals.mean(np.square(white, dtype=float))

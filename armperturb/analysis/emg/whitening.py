@@ -112,20 +112,20 @@ class Spectra:
         frequency = fft.rfftfreq(n_padded, 1.0 / rate)
         starts = np.unique(np.searchsorted(frequency, np.arange(0.0, rate / 2.0, RESOLUTION)))
         sizes = np.diff(np.append(starts, len(frequency)))
-        means = [values.mean(axis=0) for values in volts]
         power, hum = np.empty((len(volts), volts.shape[2], len(starts))), dict[int, list[float]]()
-        for column in range(volts.shape[2]):  # one after the other, for the sake of memory
-            total = np.zeros(len(frequency), dtype=np.float32)
-            for trial, values in enumerate(volts):
-                density = np.zeros_like(total)
+        total = np.zeros((volts.shape[2], len(frequency)), dtype=np.float32)
+        for trial, values in enumerate(volts):
+            means = values.mean(axis=0)
+            for column, mean in enumerate(means):  # one after the other, for the sake of memory
+                density = np.zeros(len(frequency), dtype=np.float32)
                 for part in values[: len(values) // n_parts * n_parts, column].reshape(n_parts, -1):
-                    transformed = fft.rfft(part - means[trial][column], n_padded)
+                    transformed = fft.rfft(part - mean, n_padded)
                     density += transformed.real**2 + transformed.imag**2
                 density /= n_parts
-                total += density
+                total[column] += density
                 power[trial, column] = np.add.reduceat(density, starts) / sizes
-            total /= len(volts)
-            if lines := hum_lines(total, frequency, mains):
+        for column, mean in enumerate(total / len(volts)):
+            if lines := hum_lines(mean, frequency, mains):
                 hum[column] = lines
         centre = np.add.reduceat(frequency, starts) / sizes
         is_below = centre < 0.75 * low
