@@ -123,7 +123,9 @@ class Envelopes(Result):
 
     def amplitudes(self, trials: slice | Indices) -> Array:
         """Those of some trials: linear in what drives the muscles, as far as these are above the noise."""
-        return self.amplitude_of(np.square(self.rectified[trials], dtype=float))
+        above = np.square(self.rectified[trials], dtype=float)  # in place from here, as an hour of it is long
+        above -= self.noise
+        return np.sqrt(np.maximum(above, 0.0, out=above), out=above)
 
     def amplitude_of(self, power: Array) -> Array:
         """Amplitude over the reference's [-] of power that may have been averaged, (..., muscle)."""
@@ -318,12 +320,14 @@ def envelopes(
     reference, largest = _reference(power, labels, maximal, mechanical)
     # A muscle that never rises above the noise is silent, not fully active.
     above = np.maximum(np.maximum(largest - filtered.noise, filtered.noise), np.finfo(np.float32).tiny)
+    power /= above
+    rectified /= np.sqrt(above)
     return Envelopes(
         muscles=actions,
         labels=labels,
         rate=mechanical,
-        power=power / above,
-        rectified=np.asarray(rectified / np.sqrt(above), dtype=np.float32),
+        power=power,
+        rectified=rectified,
         noise=filtered.noise / above,
         reference=reference,
         reference_volts=np.sqrt(above / filtered.gain),
