@@ -4,7 +4,13 @@ The others are run by themselves, `python -m benchmarks.NAME`.
 """
 
 import importlib
+import os
 import sys
+
+from armperturb.cli import BLAS_THREADS
+
+for name in BLAS_THREADS:
+    os.environ.setdefault(name, "1")  # as commands do, before NumPy is loaded
 
 SHORT = ("simulation", "vector_env", "study_speed")
 
