@@ -27,9 +27,13 @@ def _packed(recording: xr.Dataset) -> xr.Dataset:
     limits = np.iinfo(np.int16)
     packed = np.empty(volts.shape, dtype=np.int16)
     for trial, values in enumerate(volts.values):  # one at a time: whole recordings do not fit into the cache
-        counts = np.rint(values / step)
-        off = (np.abs(values - counts * step) > 0.01 * step) | (counts < limits.min) | (counts > limits.max)
-        if off.any():
+        counts = values / step
+        np.rint(counts, out=counts)
+        error = counts * step
+        error -= values
+        is_whole = max(error.max(), -error.min()) <= 0.01 * step
+        if not (is_whole and counts.min() >= limits.min and counts.max() <= limits.max):
+            off = (np.abs(error) > 0.01 * step) | (counts < limits.min) | (counts > limits.max)
             sample, column = np.argwhere(off)[0]
             raise ValueError(
                 f"recording: emg of trial {trial} is {values[sample, column]} V at sample {sample}; expected 16-bit "

@@ -102,8 +102,7 @@ def analyse_study(
     with workers_for(worker_count(workers, len(study.paths)), None, [__name__]) as pool:
         with Progress("analysis", total=3 * len(study.paths), unit="steps", show=show_progress) as bar:
             people = study.people(pool, bar)
-            appendices, second = study.appendices(people, pool, bar)
-            emg = study.emg(people, pool, bar)
+            appendices, second, emg = study.together(people, pool, bar)
         fits, stale = _nonlinear(study.nonlinear_units(people), nonlinear, pool, show_progress)
     if study.made:
         missing += [line for person in people.values() for line in person.missing]
@@ -232,10 +231,14 @@ class _Study:
                 raise ValueError(f"{names.count(name)} recordings are of subject {name!r}; expected one per person")
         return people
 
-    def appendices(
+    def together(
         self, people: Mapping[Path, PersonResults], pool: Workers | None, bar: Progress
-    ) -> tuple[Appendices, list[SecondStep]]:
-        """Everybody's fits of appendices C to E; step 2 of appendix C starts from everybody's step 1."""
+    ) -> tuple[Appendices, list[SecondStep], tuple[PersonEmg, ...]]:
+        """What needs everybody's results: fits of appendices C to E, their second steps, and EMG.
+
+        Step 2 of appendix C starts from everybody's step 1, and figures show the EMG of the first person with any in
+        the main condition of the position task.
+        """
         first, starts = (
             joined(getattr(person.fits, name) for person in people.values()) for name in ("first", "starts")
         )
@@ -245,8 +248,14 @@ class _Study:
             cached = self._cached(path, "step-2", SecondStep)
             everybody = replace(cached, recordings={path.name: sha256 for path, sha256 in self.paths.items()})
             units.append(Unit(cached=everybody, run=partial(_second_step, path, means)))
-        second = kept_or_computed(units, pool, bar)
-        return Appendices(first=first, second=joined(step.estimates for step in second), starts=starts), second
+        cases = _main_cases(self.result(people))
+        results = kept_or_computed([*units, *self._emg_units(people, cases[:1])], pool, bar)
+        second, emg = results[: len(units)], results[len(units) :]
+        with_emg = [case for case in cases if any(person.levels for person in emg if person.name == case.name)]
+        if with_emg and with_emg[0] is not cases[0]:
+            emg = kept_or_computed(self._emg_units(people, with_emg[:1]), pool, bar)
+        appendices = Appendices(first=first, second=joined(step.estimates for step in second), starts=starts)
+        return appendices, second, tuple(emg) if any(person.levels for person in emg) else ()
 
     def result(self, people: Mapping[Path, PersonResults]) -> StudyResult:
         """The study with what each recording tells by itself."""
@@ -261,23 +270,21 @@ class _Study:
             people=tuple(person.measures for person in people.values()),
         )
 
-    def emg(self, people: Mapping[Path, PersonResults], pool: Workers | None, bar: Progress) -> tuple[PersonEmg, ...]:
-        """What everybody's EMG tells; empty if nobody has any."""
-        case = _shown_case(self.result(people))
-        units: list[Unit[PersonEmg]] = []
+    def _emg_units(self, people: Mapping[Path, PersonResults], shown: Sequence[Case]) -> list[Unit[PersonEmg]]:
+        """Everybody's EMG; and, in these cases, what figures show of it."""
+        units = []
         for path, person in people.items():
             name = person.measures.name
-            shown = case.condition if case is not None and case.name == name else None
+            condition = next((case.condition for case in shown if case.name == name), None)
             cached = CachedResult(
                 path=self._file(path, "-emg"),
                 kind="emg",
                 result=PersonEmg,
                 recordings={path.name: self.paths[path]},
-                settings={"shown": shown.name} if shown else {},
+                settings={"shown": condition.name} if condition else {},
             )
-            units.append(Unit(cached=cached, run=partial(person_emg, name, path, shown)))
-        results = kept_or_computed(units, pool, bar)
-        return tuple(results) if any(person.levels for person in results) else ()
+            units.append(Unit(cached=cached, run=partial(person_emg, name, path, condition)))
+        return units
 
     def nonlinear_units(self, people: Mapping[Path, PersonResults]) -> list[_NonlinearUnit]:
         """Every person in either task, without pulses."""
@@ -363,11 +370,10 @@ def _recorded(root: Path, paths: Sequence[Path], missing: list[str]) -> tuple[Pr
     return protocol, {condition.name: counts[condition.name] for condition in conditions}
 
 
-def _shown_case(study: StudyResult) -> Case | None:
-    """Whose EMG figures show: the first person with any in the main condition of the position task."""
+def _main_cases(study: StudyResult) -> list[Case]:
+    """Those of the main condition of the position task, people in order."""
     main = main_conditions(study)
-    cases = study.of(main["PT"].name) if "PT" in main else []
-    return next((case for case in cases if "emg_rate" in load_recording(case.recording, ()).attrs), None)
+    return study.of(main["PT"].name) if "PT" in main else []
 
 
 def _measured(people: Iterable[PersonResults]) -> Environment:
