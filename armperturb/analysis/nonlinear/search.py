@@ -211,6 +211,14 @@ class Search:
         problem = self._problem
         while True:
             predicted = problem.predict([self._at.reference])[0]
+            # Noise that was drawn anew for where the search would go may make the arm run away where it is.
+            if not np.isfinite(predicted).all() and self._calmed(self._at.reference):
+                predicted = problem.predict([self._at.reference])[0]
+            if not np.isfinite(predicted).all():
+                raise ValueError(
+                    "nonlinear fit: the arm runs away under the person's noise where the search has come to; expected "
+                    "trials that tell of a stable arm (more of them, or --law short-range or linear)"
+                )
             problem.weigh(self._at.reference, problem.residual(predicted))
             slopes = problem.slopes(self._at.reference)
             if self._distance():
