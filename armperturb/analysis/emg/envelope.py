@@ -15,7 +15,7 @@ whitening, elsewhere little is let through (Clancy & Farry 2000, IEEE Trans. Bio
 trials of a person, so that amplitudes can be compared. Squared and averaged, it is the power; the amplitude is the root
 of what is above the power of the silent channel. Over time, amplitudes are averages of the modulus instead, which for
 normal noise is (2 / pi)^(1/2) times its RMS: the root of an average power grows with the changes of amplitude within
-the average, so that fast reflexes seemed to saturate, by 3 % of the speed.
+the average, which a fit takes for spindles that saturate at a speed some 3 % lower than they do.
 """
 
 import math

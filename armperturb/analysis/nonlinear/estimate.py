@@ -76,8 +76,8 @@ def fit(
       emg: condition to the EMG of all its trials, where it tells of reflexes; not of half-wave rectified spindles.
 
     Raises:
-      ValueError: trials are of several people or rates, there are none, `initial` or `model` names what is not free, or
-        the arm at the start is unstable.
+      ValueError: trials are of several people or rates, there are none, `initial` or `model` names what is not free,
+        the arm at the start is unstable, or it runs away under the person's noise where the search has come to.
       OSError: the checkpoint cannot be written.
       ModuleNotFoundError: numba is not installed.
     """

@@ -102,7 +102,8 @@ def analyse_study(
     with workers_for(worker_count(workers, len(study.paths)), None, [__name__]) as pool:
         with Progress("analysis", total=3 * len(study.paths), unit="steps", show=show_progress) as bar:
             people = study.people(pool, bar)
-            appendices, second, emg = study.together(people, pool, bar)
+            alone = study.result(people)
+            appendices, second, emg = study.together(people, _main_cases(alone), pool, bar)
         fits, stale = _nonlinear(study.nonlinear_units(people), nonlinear, pool, show_progress)
     if study.made:
         missing += [line for person in people.values() for line in person.missing]
@@ -113,7 +114,7 @@ def analyse_study(
         f"{fit.name} was not identified nonlinearly in {fit.label}: {fit.failed}" for fit in fits.values() if fit.failed
     ]
     return replace(
-        study.result(people),
+        alone,
         appendices=appendices,
         emg=emg,
         nonlinear=tuple(fits.values()),
@@ -232,12 +233,12 @@ class _Study:
         return people
 
     def together(
-        self, people: Mapping[Path, PersonResults], pool: Workers | None, bar: Progress
+        self, people: Mapping[Path, PersonResults], cases: Sequence[Case], pool: Workers | None, bar: Progress
     ) -> tuple[Appendices, list[SecondStep], tuple[PersonEmg, ...]]:
         """What needs everybody's results: fits of appendices C to E, their second steps, and EMG.
 
-        Step 2 of appendix C starts from everybody's step 1, and figures show the EMG of the first person with any in
-        the main condition of the position task.
+        Step 2 of appendix C starts from everybody's step 1, and figures show the EMG of the first of these cases with
+        any.
         """
         first, starts = (
             joined(getattr(person.fits, name) for person in people.values()) for name in ("first", "starts")
@@ -248,7 +249,6 @@ class _Study:
             cached = self._cached(path, "step-2", SecondStep)
             everybody = replace(cached, recordings={path.name: sha256 for path, sha256 in self.paths.items()})
             units.append(Unit(cached=everybody, run=partial(_second_step, path, means)))
-        cases = _main_cases(self.result(people))
         results = kept_or_computed([*units, *self._emg_units(people, cases[:1])], pool, bar)
         second, emg = results[: len(units)], results[len(units) :]
         with_emg = [case for case in cases if any(person.levels for person in emg if person.name == case.name)]
