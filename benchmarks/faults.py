@@ -1,18 +1,17 @@
 """Fails the n-th write, rename, fsync or allocation of a command, for every n, and looks at what is left.
 
 Run `python -m benchmarks.faults [COMMAND ...] [--kinds KIND ...] [--most N]`: by default every operation of all
-commands, of which the allocations of study, video and calibrate take hours, and those of all others half an hour; with
-GLIBC_TUNABLES=glibc.malloc.hugetlb=1 and PYTHONMALLOC=malloc, large pages make forks faster. Each command runs in this
-process, in a folder that may hold the results of an earlier run with other options. After each failure every file must
-be the earlier one or the new one to the last byte, nothing else may be there, the exit status must be 1, and the
-command must have said why in one line.
+commands, which takes an hour or two; with GLIBC_TUNABLES=glibc.malloc.hugetlb=1 and PYTHONMALLOC=malloc, large pages
+make forks faster. Each command runs in this process, in a folder that may hold the results of an earlier run with other
+options. After each failure every file must be the earlier one or the new one to the last byte, nothing else may be
+there, the exit status must be 1, and the command must have said why in one line.
 
 The command runs once, and forks at each operation. The operation fails in the child, which goes on in a copy of the
 folder, at the same path, to the command's end; this process then goes on without the failure. What pools of threads
-would do is done at once, since a child has one thread alone. Where this process cannot fork, as another thread asks or
-another process answers, the command is run for that failure alone; so it is where a child found something wrong, and
-that run decides. Of more than `--most` operations of a kind, the first from each place in the code and others spread
-evenly are failed; a place is told by all the calls that lead to it.
+would do is done by the thread that asks, since a child has one thread alone. Where this process cannot fork, as another
+thread asks or another process answers, the command is run for that failure alone; so it is where a child found
+something wrong, and that run decides. Of more than `--most` operations of a kind, the first from each place in the code
+and others spread evenly are failed; a place is told by all the calls that lead to it.
 """
 
 import argparse
@@ -30,7 +29,7 @@ import tempfile
 import threading
 import traceback
 from collections.abc import Callable, Collection, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from itertools import groupby
 from multiprocessing import resource_tracker
@@ -108,7 +107,7 @@ class Fault:
     def injected(self) -> Iterator[None]:
         """Within the block, the operations count and one fails."""
         patches = [mock.patch.object(owner, name, self(getattr(owner, name))) for owner, name in OPERATIONS[self.kind]]
-        patches.append(mock.patch.object(ThreadPoolExecutor, "submit", done_at_once))
+        patches.append(mock.patch.object(ThreadPoolExecutor, "map", in_this_thread))
         for patch in patches:
             patch.start()
         try:
@@ -123,14 +122,9 @@ def writes_a_file(file: Any, mode: str = "r", *_: Any, **__: Any) -> bool:
     return bool(set(mode) & set("wxa")) and not (isinstance(file, int) and stat.S_ISFIFO(os.fstat(file).st_mode))
 
 
-def done_at_once(pool: ThreadPoolExecutor, function: Callable[..., Any], *args: Any, **options: Any) -> "Future[Any]":
-    """What a pool of threads is asked to do, done by the thread that asks."""
-    future: Future[Any] = Future()
-    try:
-        future.set_result(function(*args, **options))
-    except Exception as error:
-        future.set_exception(error)
-    return future
+def in_this_thread(pool: ThreadPoolExecutor, function: Callable[..., Any], *of_calls: Any) -> Iterator[Any]:
+    """`ThreadPoolExecutor.map` without a thread: each call when its result is asked for, and none after a failure."""
+    return map(function, *of_calls)
 
 
 def may_fork() -> bool:
