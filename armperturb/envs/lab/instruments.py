@@ -12,6 +12,7 @@ what it does to one it does to all. Then each instrument adds its own error:
 """
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from scipy import signal
@@ -78,7 +79,7 @@ class Instruments:
         if self.antialias is None:
             return None
         require_number("Instruments", "antialias", self.antialias, above=0.0, below=rate / 2.0)
-        return np.asarray(signal.butter(ANTIALIAS_ORDER, self.antialias, fs=1.0 / timestep, output="sos"))
+        return _antialias(self.antialias, timestep)
 
     def read_marker(self, position: Array, rng: np.random.Generator) -> Array:
         """Shoulder marker in the movies [m] of a position, (..., axis)."""
@@ -108,3 +109,9 @@ class Instruments:
         second = np.arccos(np.clip(cosine, -1.0, 1.0))
         first = np.arctan2(y, x) - np.arctan2(far * np.sin(second), near + far * np.cos(second))
         return first, second
+
+
+@lru_cache(maxsize=8)
+def _antialias(cutoff: float, timestep: float) -> Array:
+    """Second-order sections, which all trials of an experiment share."""
+    return np.asarray(signal.butter(ANTIALIAS_ORDER, cutoff, fs=1.0 / timestep, output="sos"))
