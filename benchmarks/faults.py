@@ -342,11 +342,12 @@ def main(arguments: list[str] | None = None) -> None:
     options = parser.parse_args([] if arguments is None else arguments)
     commands = options.commands or list(COMMANDS)
     here = Path.cwd()
-    with tempfile.TemporaryDirectory() as name:
-        laboratory(Path(name), with_study=bool({"report", "score", "video"} & set(commands)))
-        os.chdir(here)
-        for command in commands:
-            seen = failures(Path(name), *COMMANDS[command], options.kinds, options.most, REMOVED.get(command, ()))
+    for command in commands:
+        earlier, failed = COMMANDS[command]
+        with tempfile.TemporaryDirectory() as name:
+            laboratory(Path(name), with_study=any(part.startswith("made") for part in failed))
+            os.chdir(here)
+            seen = failures(Path(name), earlier, failed, options.kinds, options.most, REMOVED.get(command, ()))
             for kind, of_kind in groupby(seen, key=itemgetter(0)):
                 results = [(number, text) for _, number, text in of_kind]
                 wrong = [(number, text) for number, text in results if text]
