@@ -39,7 +39,6 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
-import psutil
 
 from armperturb import cli, foreign
 from armperturb.perturbations import Multisine, save_perturbation
@@ -130,7 +129,7 @@ def in_this_thread(pool: ThreadPoolExecutor, function: Callable[..., Any], *of_c
 def may_fork() -> bool:
     """Whether no other thread asks, and all processes below this one wait: the reader for files, Python's helper."""
     waiting = {each.pid for each in foreign._waiting} | {resource_tracker._resource_tracker._pid}
-    below = {process.pid for process in psutil.Process().children()}
+    below = {int(pid) for task in Path("/proc/self/task").iterdir() for pid in (task / "children").read_text().split()}
     return threading.current_thread() is threading.main_thread() and below <= waiting
 
 
@@ -271,6 +270,18 @@ def _wrong(status: int, said: str, before: dict[str, bytes], after: dict[str, by
     return f"neither the old nor the new file: {', '.join(halves)}" if halves else ""
 
 
+def only_named(folder: Path, command: Sequence[str]) -> None:
+    """Remove from a folder what a command does not name, as all that is left is copied for each failure."""
+    named = {Path(Path(part).parts[0]).stem for part in command}
+    for path in folder.iterdir():
+        if path.stem in named:
+            continue
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink()
+
+
 def laboratory(folder: Path, *, with_study: bool) -> None:
     """What the commands read: recordings of two trials, a person, a perturbation, a protocol; its study if asked."""
     sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
@@ -347,6 +358,7 @@ def main(arguments: list[str] | None = None) -> None:
         with tempfile.TemporaryDirectory() as name:
             laboratory(Path(name), with_study=any(part.startswith("made") for part in failed))
             os.chdir(here)
+            only_named(Path(name), [*earlier, *failed])
             seen = failures(Path(name), earlier, failed, options.kinds, options.most, REMOVED.get(command, ()))
             for kind, of_kind in groupby(seen, key=itemgetter(0)):
                 results = [(number, text) for _, number, text in of_kind]
