@@ -84,12 +84,12 @@ class Fault:
             if self._is_forking or (self.kind == "write" and not writes_a_file(*args, **options)):
                 return function(*args, **options)
             self.places.append(hash(tuple((frame.f_code, line) for frame, line in traceback.walk_stack(None))))
-            if len(self.places) in self.in_children and may_fork():
+            if not self.is_child and len(self.places) in self.in_children and may_fork():
                 self._is_forking = True
                 self.is_child = in_a_child(Path.cwd())
                 self._is_forking = False
                 if self.is_child:
-                    self.number, self.in_children = len(self.places), frozenset()
+                    self.number = len(self.places)
             if len(self.places) != self.number:
                 return function(*args, **options)
             if self.kind == "allocation":
