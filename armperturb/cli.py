@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import threading
+import traceback
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -101,16 +102,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 @contextmanager
 def ended_in_order() -> Iterator[None]:
-    """Within the block, SIGTERM and SIGHUP interrupt as Ctrl-C does, so that nothing half-written is left."""
+    """Within the block, SIGTERM and SIGHUP interrupt as Ctrl-C does, so that nothing half-written is left.
+
+    Further signals change nothing once the end has begun, and nothing is said of what was interrupted half-made and
+    therefore cannot be taken down without an error.
+    """
+    before: dict[int, Any] = {}
+    again: list[threading.Timer] = []
+    is_ending = False
 
     def interrupt(number: int, _: object) -> None:
+        nonlocal is_ending
+        is_ending = True
         for each in before:
-            signal.signal(each, signal.SIG_IGN)  # the end has begun
+            signal.signal(each, signal.SIG_IGN)
         raise KeyboardInterrupt(signal.Signals(number))
 
     def lost(unraisable: Any) -> None:
         if not isinstance(unraisable.exc_value, KeyboardInterrupt):
-            reported(unraisable)
+            if not is_ending:
+                reported(unraisable)
             return
         # It came within a destructor or the like, which cannot raise: it comes again a moment later.
         for each in before:
@@ -119,16 +130,22 @@ def ended_in_order() -> Iterator[None]:
         again.append(threading.Timer(MOMENT, _signal_main_thread, (number,)))
         again[-1].start()
 
-    before: dict[int, Any] = {}
-    again: list[threading.Timer] = []
     reported, sys.unraisablehook = sys.unraisablehook, lost
     try:
         if threading.current_thread() is threading.main_thread():
-            for name in ("SIGTERM", "SIGHUP"):
+            for name in ("SIGINT", "SIGTERM", "SIGHUP"):
                 number = getattr(signal, name, None)
-                if number is not None and signal.getsignal(number) == signal.SIG_DFL:  # `nohup` ignores it
+                # `nohup` ignores SIGHUP, and a shell SIGINT of what it runs in the background.
+                if number is not None and signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
                     before[number] = signal.signal(number, interrupt)
         yield
+    except KeyboardInterrupt as interruption:
+        # What was interrupted is taken down here, where errors of that are not said, and not at any later moment.
+        error: BaseException | None = interruption
+        while error is not None:
+            traceback.clear_frames(error.__traceback__)
+            error = error.__context__
+        raise
     finally:
         for timer in again:
             timer.cancel()

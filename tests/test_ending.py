@@ -33,6 +33,48 @@ cli._parse = lambda arguments: Long()
 sys.exit(cli.main([]))
 """
 
+HALF_MADE = """
+import signal, sys, time
+from armperturb import cli
+from armperturb.commands.command import Command
+
+class Thing:
+    def __init__(self):
+        signal.raise_signal(getattr(signal, sys.argv[1]))
+        time.sleep(20.0)
+        self.made = True
+
+    def __del__(self):
+        self.made
+
+class Long(Command):
+    def run(self):
+        kept = Thing.__new__(Thing)
+        kept.__init__()
+        return []
+
+cli._parse = lambda arguments: Long()
+sys.exit(cli.main([]))
+"""
+
+TWICE = """
+import signal, sys, time
+from armperturb import cli
+from armperturb.commands.command import Command
+
+class Long(Command):
+    def run(self):
+        try:
+            signal.raise_signal(getattr(signal, sys.argv[1]))
+            time.sleep(20.0)
+        finally:
+            signal.raise_signal(getattr(signal, sys.argv[1]))
+        return []
+
+cli._parse = lambda arguments: Long()
+sys.exit(cli.main([]))
+"""
+
 PROGRAM = """
 import sys, time
 from pathlib import Path
@@ -76,10 +118,11 @@ def test_signals_end_a_command_in_order(tmp_path, name, to_group):
 
 
 @pytest.mark.parametrize("name", SIGNALS)
-def test_a_signal_within_a_callback_is_not_lost(name):
+@pytest.mark.parametrize("program", [DURING_CALLBACKS, HALF_MADE, TWICE], ids=["callback", "half_made", "twice"])
+def test_a_signal_ends_a_command_in_one_line(name, program):
     number = getattr(signal, name)
     run = subprocess.run(
-        [sys.executable, "-c", DURING_CALLBACKS, name],
+        [sys.executable, "-c", program, name],
         capture_output=True,
         text=True,
         timeout=15.0,
