@@ -7,6 +7,9 @@ from markupsafe import Markup
 
 MISSING = "–"
 
+GREEK = {"zeta": "ζ"}
+"""Quantities whose symbol is a Greek letter."""
+
 
 def digits(value: float | None, n: int = 3) -> str:
     """A number with n significant digits, never in powers of ten; a dash if there is none."""
@@ -52,6 +55,7 @@ def words(name: str) -> str:
 def symbol(parameter: str) -> Markup:
     """A parameter as its symbol, e.g. kv_se as k with the subscript v,se."""
     quantity, _, place = parameter.partition("_")
+    quantity = GREEK.get(quantity, quantity)
     subscript = ",".join(filter(None, (quantity[1:], place)))
     return Markup("<i>{}</i><sub>{}</sub>").format(quantity[0], subscript)
 

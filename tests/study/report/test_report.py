@@ -670,6 +670,7 @@ def test_small_chances_are_called_small():
 
 def test_symbol_is_escaped_markup():
     assert symbol("kv_se") == "<i>k</i><sub>v,se</sub>"
+    assert symbol("zeta_act") == "<i>ζ</i><sub>act</sub>"
     assert symbol("m_<tot>") == "<i>m</i><sub>&lt;tot&gt;</sub>"
 
 
