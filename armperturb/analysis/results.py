@@ -215,7 +215,7 @@ def parameter_table(frame: pd.DataFrame, *keys: str) -> Table:
     rows = []
     for row in frame.to_dict("records"):
         limits = row["lower_95"], row["upper_95"]
-        interval = f"{plain(limits[0])} to {plain(limits[1])}" if np.isfinite(limits).all() else "not identifiable"
+        interval = plain_limits(*limits) if np.isfinite(limits).all() else "not identifiable"
         mark = " (bound)" if row["at_bound"] else ""
         keyed = tuple(str(row[key]) for key in keys)
         rows.append((row["parameter"], plain(row["value"]), interval + mark, row["unit"], *keyed))
@@ -247,6 +247,14 @@ def plain(value: float, digits: int = 4) -> str:
         return f"{value:g}"
     power = math.floor(math.log10(abs(value)))
     return f"{value:.{max(0, digits - 1 - power)}f}" if -5 < power < 6 else f"{value:.{digits - 1}e}"
+
+
+def plain_limits(lower: float, upper: float, digits: int = 4) -> str:
+    """Both limits of an interval with about so many significant digits, or more if its width shows only then."""
+    if lower < upper and math.isfinite(upper - lower):
+        power, of_width = (math.floor(math.log10(each)) for each in (max(abs(lower), abs(upper)), upper - lower))
+        digits = max(digits, power - of_width + 2)
+    return f"{plain(lower, digits)} to {plain(upper, digits)}"
 
 
 def _wrapped(lines: Iterable[str]) -> list[str]:

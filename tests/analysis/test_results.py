@@ -22,6 +22,7 @@ from armperturb.analysis.results import (
     limits_of,
     parameter_table,
     plain,
+    plain_limits,
     quantile,
 )
 from armperturb.files import write_csv
@@ -115,6 +116,20 @@ def test_numbers_that_do_not_exist_are_written_by_name(tmp_path):
 )
 def test_numbers_are_plain(value, text):
     assert plain(value) == text
+
+
+@pytest.mark.parametrize(
+    ("limits", "text"),
+    [
+        ((12.04, 12.24), "12.04 to 12.24"),
+        ((0.30821, 0.30842), "0.30821 to 0.30842"),
+        ((22375.6, 22384.8), "22375.6 to 22384.8"),
+        ((-1.488, 13.76), "-1.488 to 13.76"),
+        ((5.0, 5.0), "5.000 to 5.000"),
+    ],
+)
+def test_limits_of_an_interval_differ_as_far_as_it_is_wide(limits, text):
+    assert plain_limits(*limits) == text
 
 
 @pytest.fixture(scope="module", params=ESTIMATORS)

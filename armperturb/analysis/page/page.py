@@ -20,7 +20,7 @@ from armperturb.analysis.page.verdict import likely_causes, nonlinearity, unknow
 from armperturb.analysis.response.best_linear import BestLinear, best_linear
 from armperturb.analysis.response.estimate import response
 from armperturb.analysis.response.frequency_response import FrequencyResponse
-from armperturb.analysis.results import FitResult, limits_of, plain
+from armperturb.analysis.results import FitResult, limits_of, plain, plain_limits
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.files import packaged_table, write_whole
 from armperturb.pages.page import rendered, versions
@@ -178,7 +178,7 @@ def parameter_rows(fits: Mapping[str, FitResult], unit_of: Callable[[str], str])
                 cells.append(("–", "–"))
                 continue
             lower, upper = fit.interval(name)
-            interval = f"{plain(lower, 3)} to {plain(upper, 3)}" if abs(upper) < float("inf") else "not identifiable"
+            interval = plain_limits(lower, upper, 3) if abs(upper) < float("inf") else "not identifiable"
             mark = " (at bound)" if name in fit.at_bound else ""
             cells.append((plain(fit.values[name], 4), ("not known" if lower != lower else interval) + mark))
         rows.append({"name": name, "unit": unit_of(name), "cells": cells})
