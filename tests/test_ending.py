@@ -13,62 +13,45 @@ from armperturb import files
 SLOW = pytest.mark.slow(reason="three processes")
 SIGNALS = ["SIGINT", pytest.param("SIGTERM", marks=SLOW), pytest.param("SIGHUP", marks=SLOW)]
 
-DURING_CALLBACKS = """
+INTERRUPTED = """
 import signal, sys, time, weakref
 from armperturb import cli
 from armperturb.commands.command import Command
 
+def interrupt():
+    signal.raise_signal(getattr(signal, sys.argv[1]))
+    time.sleep(0.1)
+
 class Thing:
     pass
 
-class Long(Command):
-    def run(self):
-        thing = Thing()
-        kept = weakref.ref(thing, lambda _: (signal.raise_signal(getattr(signal, sys.argv[1])), time.sleep(0.1)))
-        del thing
-        time.sleep(20.0)
-        return []
-
-cli._parse = lambda arguments: Long()
-sys.exit(cli.main([]))
-"""
-
-HALF_MADE = """
-import signal, sys, time
-from armperturb import cli
-from armperturb.commands.command import Command
-
-class Thing:
+class HalfMade:
     def __init__(self):
-        signal.raise_signal(getattr(signal, sys.argv[1]))
-        time.sleep(20.0)
+        interrupt()
         self.made = True
 
     def __del__(self):
         self.made
 
+def callback():
+    thing = Thing()
+    kept = weakref.ref(thing, lambda _: interrupt())
+    del thing
+    time.sleep(20.0)
+
+def half_made():
+    kept = HalfMade.__new__(HalfMade)
+    kept.__init__()
+
+def twice():
+    try:
+        interrupt()
+    finally:
+        interrupt()
+
 class Long(Command):
     def run(self):
-        kept = Thing.__new__(Thing)
-        kept.__init__()
-        return []
-
-cli._parse = lambda arguments: Long()
-sys.exit(cli.main([]))
-"""
-
-TWICE = """
-import signal, sys, time
-from armperturb import cli
-from armperturb.commands.command import Command
-
-class Long(Command):
-    def run(self):
-        try:
-            signal.raise_signal(getattr(signal, sys.argv[1]))
-            time.sleep(20.0)
-        finally:
-            signal.raise_signal(getattr(signal, sys.argv[1]))
+        globals()[sys.argv[2]]()
         return []
 
 cli._parse = lambda arguments: Long()
@@ -118,11 +101,11 @@ def test_signals_end_a_command_in_order(tmp_path, name, to_group):
 
 
 @pytest.mark.parametrize("name", SIGNALS)
-@pytest.mark.parametrize("program", [DURING_CALLBACKS, HALF_MADE, TWICE], ids=["callback", "half_made", "twice"])
-def test_a_signal_ends_a_command_in_one_line(name, program):
+@pytest.mark.parametrize("moment", ["callback", "half_made", "twice"])
+def test_a_signal_ends_a_command_in_one_line(name, moment):
     number = getattr(signal, name)
     run = subprocess.run(
-        [sys.executable, "-c", program, name],
+        [sys.executable, "-c", INTERRUPTED, name, moment],
         capture_output=True,
         text=True,
         timeout=15.0,
