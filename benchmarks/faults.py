@@ -1,7 +1,7 @@
 """Fails the n-th write, rename, fsync or allocation of a command, for every n, and looks at what is left.
 
 Run `python -m benchmarks.faults [COMMAND ...] [--kinds KIND ...] [--most N]`: by default every operation of all
-commands, which takes an hour or two; with GLIBC_TUNABLES=glibc.malloc.hugetlb=1 and PYTHONMALLOC=malloc, large pages
+commands, which takes some hours; with GLIBC_TUNABLES=glibc.malloc.hugetlb=1 and PYTHONMALLOC=malloc, large pages
 make forks faster. Each command runs in this process, in a folder that may hold the results of an earlier run with other
 options. After each failure every file must be the earlier one or the new one to the last byte, nothing else may be
 there, the exit status must be 1, and the command must have said why in one line.

@@ -52,12 +52,16 @@ def words(name: str) -> str:
     return re.sub(r"\b(pt|rt)(?=[\d ]|$)", lambda task: task.group().upper(), name.replace("_", " "))
 
 
-def symbol(parameter: str) -> Markup:
-    """A parameter as its symbol, e.g. kv_se as k with the subscript v,se."""
+def letter_and_subscript(parameter: str) -> tuple[str, str]:
+    """The two parts of a parameter's symbol, e.g. k and "v,se" of kv_se."""
     quantity, _, place = parameter.partition("_")
     quantity = GREEK.get(quantity, quantity)
-    subscript = ",".join(filter(None, (quantity[1:], place)))
-    return Markup("<i>{}</i><sub>{}</sub>").format(quantity[0], subscript)
+    return quantity[0], ",".join(filter(None, (quantity[1:], place)))
+
+
+def symbol(parameter: str) -> Markup:
+    """A parameter as its symbol, e.g. kv_se as k with the subscript v,se."""
+    return Markup("<i>{}</i><sub>{}</sub>").format(*letter_and_subscript(parameter))
 
 
 def _decimals(value: float, n: int) -> int:

@@ -79,7 +79,7 @@ class Instruments:
         if self.antialias is None:
             return None
         require_number("Instruments", "antialias", self.antialias, above=0.0, below=rate / 2.0)
-        return _antialias(self.antialias, timestep)
+        return _antialias(self.antialias, timestep).copy()  # the caller's own
 
     def read_marker(self, position: Array, rng: np.random.Generator) -> Array:
         """Shoulder marker in the movies [m] of a position, (..., axis)."""

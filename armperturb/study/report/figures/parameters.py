@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 
 from armperturb.analysis.fit.structures import unit
 from armperturb.analysis.fit.thesis import ThesisEstimate
-from armperturb.pages.formats import GREEK
+from armperturb.pages.formats import letter_and_subscript
 from armperturb.plots.panels import legend, padded
 from armperturb.plots.style import BESIDE, GREY, PALE, PUBLISHED, TRUE, in_style, new_figure
 from armperturb.study.published import tables as published
@@ -273,7 +273,5 @@ def _draw(
 
 def parameter_symbol(name: str) -> str:
     """A parameter as mathematical text, e.g. kv_se as k with the subscript v,se."""
-    quantity, _, place = name.partition("_")
-    quantity = GREEK.get(quantity, quantity)
-    letter, more = quantity[0], quantity[1:]
-    return f"${letter}_{{\\mathrm{{{','.join(filter(None, (more, place)))}}}}}$"
+    letter, subscript = letter_and_subscript(name)
+    return f"${letter}_{{\\mathrm{{{subscript}}}}}$"
