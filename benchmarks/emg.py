@@ -1,7 +1,7 @@
 """What the analysis of EMG reaches: `python -m benchmarks.emg [PEOPLE [SEED [PART]]]`; some 40 s of a core per person.
 
-PART is of fits alone: `linear_laboratory` of people whose arms keep the geometry of their posture, `without_fast_part`
-of people whose remnant is slow.
+PART is `linear_people`, a half of it all; or of fits alone `linear_laboratory`, of people whose arms keep the geometry
+of their posture, or `without_fast_part`, of people whose remnant is slow.
 
 People are drawn as in a study and do the thesis's protocol with a maximal contraction, under the published forces, with
 all noise. Their EMG shows background and reflexes; the last lines are of the same people whose effort (remnant and slow
@@ -68,7 +68,10 @@ def recorded(
     linear: bool = False,
     fast: bool = True,
 ) -> tuple[xr.Dataset, np.ndarray]:
-    """A person's recording, and the true index of co-contraction of each trial, (trial, joint)."""
+    """A person's trials, and the true index of co-contraction of each, (trial, joint).
+
+    Trials that leave the workspace before any pulse are left out.
+    """
     indices = []
     original = Emg.read
 
@@ -92,7 +95,9 @@ def recorded(
     with mock.patch.object(Emg, "read", read):
         instruments = Instruments(marker_noise=None, emg=Emg(effort=effort))
         recording = run_experiment(trials, instruments=instruments, n_threads=1, **how)
-    return recording, np.array(indices)
+    limit, onset = (recording[name].values for name in ("limit_time", "pulse_onset"))
+    inside = np.flatnonzero(~(limit < np.where(np.isnan(onset), np.inf, onset)))
+    return recording.isel(trial=inside), np.array(indices)[inside]
 
 
 def slightly_active(person: Person) -> Person:
@@ -308,7 +313,7 @@ def without_fast_part(n: int, seed: int) -> Iterator[Line]:
     yield from _fits_alone("without the fast part", n, seed, fast=False)
 
 
-PARTS = {part.__name__: part for part in (linear_laboratory, without_fast_part)}
+PARTS = {part.__name__: part for part in (linear_people, linear_laboratory, without_fast_part)}
 
 
 def _fits_alone(label: str, n: int, seed: int, **how: bool) -> Iterator[Line]:

@@ -233,7 +233,11 @@ def failures(
             for path in [path for pattern in removed for path in old.glob(pattern)]:
                 path.unlink()
             before = contents(old)
-            result(Fault("allocation"))  # what is imported and kept in memory counts no longer
+            shutil.copytree(old, now)
+            os.chdir(now)
+            run(command)  # what is compiled, imported and kept in memory counts no longer
+            os.chdir(here)
+            shutil.rmtree(now)
             gc.freeze()  # or each child would copy most of this process's memory
             for kind in kinds:
                 counted = Fault(kind)

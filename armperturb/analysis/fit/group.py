@@ -11,7 +11,14 @@ import xarray as xr
 from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.fit.admittance_problem import Target, checked_problem, least_squares
 from armperturb.analysis.fit.emg_likelihood import EmgLikelihood
-from armperturb.analysis.fit.likelihood import Likelihood, PeriodLikelihood, RecordLikelihood, Signals, whitened
+from armperturb.analysis.fit.likelihood import (
+    START_OF_MOVING,
+    Likelihood,
+    PeriodLikelihood,
+    RecordLikelihood,
+    Signals,
+    whitened,
+)
 from armperturb.analysis.fit.linear_start import linear_start, linear_starts
 from armperturb.analysis.fit.structures import Structure
 from armperturb.analysis.fit.total_admittance import LONGEST_RUN
@@ -28,7 +35,7 @@ from armperturb.recording import join_recordings
 from armperturb.subject import Subject
 
 SEGMENT = 120.0
-"""Length of the segments of long records that structures are compared on [s]; their ends cost 3 % of the samples."""
+"""Length of the segments of long records that structures are compared on [s]."""
 
 Method = Literal["frequency", "record"]
 """Whether the mean period of each trial is used, or all of it from its start."""
@@ -253,9 +260,13 @@ def record_likelihood(trials: ConditionTrials, top: float, n_segments: int = 1) 
     top = min(top, 0.45 * signals.rate)
     if n_segments == 1:
         return RecordLikelihood(signals, top, from_rest=trials.from_rest)
-    n_each = quick_length(signals.perturbation.shape[1] // n_segments)
+    # What is not judged of each, at its start, is the end of the one before.
+    spoiled = round(START_OF_MOVING * signals.rate)
+    n_judged = quick_length((signals.perturbation.shape[1] - spoiled) // n_segments)
+    starts = n_judged * np.arange(n_segments)
+    inside = starts[:, None] + np.arange(spoiled + n_judged)
     cut = {
-        name: getattr(signals, name)[:, : n_segments * n_each].reshape(-1, n_each, 2)
+        name: getattr(signals, name)[:, inside].reshape(-1, spoiled + n_judged, 2)
         for name in ("perturbation", "applied", "displacement")
     }
     return RecordLikelihood(signals._replace(**cut), top, from_rest=False)

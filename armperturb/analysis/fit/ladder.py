@@ -42,6 +42,7 @@ from armperturb.analysis.response.best_linear import best_linear
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
+from armperturb.memory import give_memory_back
 from armperturb.subject import Subject
 
 CAUTION = 2.0
@@ -236,6 +237,7 @@ def choose_structure(
     best = scored[0]
     for each in (recorded, group):
         each.made.pop("segments", None)  # they take much memory, and are not needed any more
+    give_memory_back()
     initial = dict(zip(best.structure.free, best.sketch.values.tolist(), strict=True))
     estimate_of_best = estimate([with_emg(group.with_structure(best.structure))], method, initial=initial)
     return Choice(

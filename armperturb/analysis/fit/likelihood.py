@@ -38,8 +38,9 @@ TAPER = 2.0
 PAST = (0.0, 0.02, 0.05, 0.09, 0.15, 0.23, 0.35, 0.55, 0.9, 1.5, 2.5)
 """Times before a record at which the unknown force before it may have its knots, linear between them [s]."""
 
-MEMORY = 20.0
-"""Time after which responses have surely died away [s]: by as much, at least, spectra of records are padded."""
+MEMORY = 20.0, 40.0
+"""By how much records are padded before they are transformed, at least and at most [s]: after as long, responses have
+surely died away. Between the two, by their own length."""
 
 START_OF_MOVING = 0.5
 """What is left out at the start of a record that begins amid the movement [s], which its filters spoil. From then on it
@@ -210,7 +211,8 @@ class RecordLikelihood(Likelihood):
         force = signals.perturbation.swapaxes(1, 2)
         self._judged, self._taper = judged_part(force.shape[-1], rate, from_rest=from_rest)
         n_samples = force.shape[-1]
-        self._n_padded = fft.next_fast_len(n_samples + max(n_samples, round(MEMORY * rate)), real=True)
+        least, most = (round(each * rate) for each in MEMORY)
+        self._n_padded = fft.next_fast_len(n_samples + min(max(n_samples, least), most), real=True)
         frequency = fft.rfftfreq(len(self._taper), 1.0 / rate)
         self._used = slice(1, int(np.searchsorted(frequency, top)))
         observed = self._spectrum(signals.displacement.swapaxes(1, 2))

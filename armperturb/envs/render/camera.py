@@ -13,11 +13,11 @@ from armperturb.arrays import Array
 from armperturb.envs.render.gl import (
     Context,
     close_at_exit,
-    give_memory_back,
     gl_help,
     new_context,
     require_own_process,
 )
+from armperturb.memory import give_memory_back
 from armperturb.validation import require_one_of
 
 DISTURBANCE, REACTION, PATH = "#D55E00", "#0072B2", "#CC79A7"
@@ -130,7 +130,7 @@ class Camera:
         else:
             _OF_PARENT.append((self._window, self._context))
         self._window = self._context = self._scene = self._data = self.model = None
-        give_memory_back()
+        give_memory_back()  # where the processor draws, some 40 MB would be kept for each context
 
     def draw(
         self,

@@ -6,7 +6,6 @@ otherwise this module chooses EGL, or OSMesa where EGL gives no context.
 """
 
 import atexit
-import ctypes
 import functools
 import importlib
 import os
@@ -73,13 +72,6 @@ class Context:
         with _DRAWING:
             self._window.free()
             self._window = None
-
-
-def give_memory_back() -> None:
-    """Let the C library return what is free: where the processor draws, it would keep some 40 MB for each context."""
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None  # glibc has it
-    if trim is not None:
-        trim(0)
 
 
 def _release(window: Any) -> None:
