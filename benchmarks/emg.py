@@ -281,7 +281,7 @@ def linear_people(n: int, seed: int) -> Iterator[Line]:
     for number, person in enumerate(draw_cohort(n, seed, muscles="linear")):
         recording, _ = recorded(person, number, HOLDING, seed)
         conditions, amplitudes = trials_by_condition(recording, is_checked=True), envelopes(recording)
-        result = onsets([conditions[name] for name in HELD], amplitudes)
+        result = onsets([conditions[name] for name in HELD if name in conditions], amplitudes)
         latencies.add(result.latencies, "latency_s", person)
         if neurokit is not None:
             for row in result.latencies.dropna().to_dict("records"):
@@ -386,10 +386,13 @@ class Fits:
 
     def __init__(self) -> None:
         self.rows, self.seconds, self.n = list[dict[str, Any]](), np.zeros(3), 0
-        self.suspicious = list[bool]()
+        self.suspicious, self.left_out = list[bool](), 0
 
     def add(self, person: Person, conditions: dict[str, ConditionTrials], amplitudes: Envelopes) -> None:
-        """Fit a person's trials."""
+        """Fit the trials of a person who stays in the workspace."""
+        if not {*MOVED} <= {*conditions}:
+            self.left_out += 1
+            return
         groups = {name: _with_and_without(conditions[name], amplitudes) for name in MOVED}
         ways: list[dict[str, Any]] = []
         for place in (0, 1):
@@ -422,6 +425,7 @@ class Fits:
 
     def lines(self) -> Iterator[Line]:
         """Medians of ratios, errors and coverage."""
+        yield Line("people whose multisines all end at the limit of the workspace", "", str(self.left_out))
         for quantity, of in pd.DataFrame(self.rows).groupby("quantity", sort=False):
             of_gains = quantity.startswith("k")
             beside = f" (rectified outputs at best {of['rectified'].median():.2f})"
