@@ -209,13 +209,15 @@ def test_as_published_is_lsqnonlin_on_the_modulus_from_one_start(use_penalty):
         penalty = penalty_factor(largest_real_pole(arm, ENVIRONMENT)) if use_penalty else 1.0
         return np.abs(np.log(admittance / arm_admittance(arm, FREQUENCY, "pade"))).ravel() * penalty
 
+    # One-sided differences would lead along another path on each processor.
+    tolerances = {"ftol": 1e-5, "xtol": 1e-6, "gtol": None}
     expected = optimize.least_squares(
-        error, np.ones(13), bounds=(lower, upper), diff_step=1e-6, ftol=1e-5, xtol=1e-6, gtol=None, max_nfev=428
+        error, np.ones(13), jac="3-point", bounds=(lower, upper), diff_step=1e-5, max_nfev=428, **tolerances
     )
     result = fit_admittance(
         FREQUENCY, admittance, POSITION, "3b", ENVIRONMENT, as_published=True, use_penalty=use_penalty, delay="pade"
     )
-    assert result.criterion * 72 == pytest.approx(2 * expected.cost, rel=1e-3)
+    assert result.criterion * 72 == pytest.approx(2 * expected.cost, rel=1e-4)
     best = fit_admittance(FREQUENCY, admittance, POSITION, "3b", ENVIRONMENT, use_penalty=use_penalty, delay="pade")
     assert best.criterion <= result.criterion
 
