@@ -4,11 +4,13 @@ Work is divided into units, each of which a pure function computes. A unit whose
 again, and the assignment of units to workers has no effect on any file.
 """
 
+import ctypes
 import gc
 import importlib
 import logging
 import os
 import signal
+import sys
 import threading
 import time
 import warnings
@@ -49,9 +51,10 @@ LEAST_ADDRESSES = 10**9
 MAX_DEATHS = 3
 """How often in succession workers may die before a unit is finished: beyond that, the unit itself is at fault."""
 
-MALLOC = {"MALLOC_MMAP_THRESHOLD_": str(2**24), "MALLOC_TRIM_THRESHOLD_": str(2**26)}
-"""Makes glibc return the memory of the largest arrays at once, and keep that of others: fetching it anew from the
-system for every array would double the time of a simulation."""
+MALLOC = {-3: 2**24, -1: 2**26}
+"""glibc's M_MMAP_THRESHOLD and M_TRIM_THRESHOLD to their values [byte]: the memory of the largest arrays is returned at
+once, and that of others kept. Fetching it anew from the system for every array would double the time of a simulation;
+Dask sets thresholds that do so."""
 
 KEPT_MEMORY = {"LOKY_MAX_MEMORY_LEAK_SIZE": str(2**30)}
 """How much a process may keep after a unit [byte]; one that keeps more is started anew. With loky's own 300 MB it would
@@ -110,7 +113,7 @@ class LocalProcesses:
                 self.count,
                 initializer=_begin,
                 initargs=(os.getpid(), self._modules),
-                env={**dict.fromkeys(names, threads), **MALLOC, **KEPT_MEMORY},
+                env={**dict.fromkeys(names, threads), **KEPT_MEMORY},
             )
             for first in self._ahead:
                 self._executor.submit(first)
@@ -407,9 +410,18 @@ def _on_its_own(function: Callable[[Unit], Result], unit: Unit) -> Result:
     """Compute a unit on a Dask worker as if there were no cluster."""
     import dask
 
+    _keep_memory()
     # xarray would ask the cluster for a lock on every file that it writes, even on one in memory, which fails.
     with dask.config.set(scheduler="synchronous"):
         return function(unit)
+
+
+def _keep_memory() -> None:
+    """Make this process keep the memory of arrays that it has freed (`MALLOC`), where the C library is glibc."""
+    if sys.platform == "linux":
+        library = ctypes.CDLL(None)
+        for option, value in MALLOC.items() if hasattr(library, "mallopt") else ():
+            library.mallopt(option, value)
 
 
 def _begin(parent: int, modules: Sequence[str]) -> None:
@@ -424,6 +436,7 @@ def _begin(parent: int, modules: Sequence[str]) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
+    _keep_memory()
     warnings.formatwarning = lambda message, *_: f"armperturb: warning: {' '.join(str(message).split())}\n"
     warnings.filterwarnings("ignore", HELPER_DIED, UserWarning)
     # Modules are no garbage: looking for it among them takes a sixth of the time that they take to load.

@@ -1,7 +1,9 @@
 """Units of work outlive the workers that do them."""
 
 import logging
+import mmap
 import os
+import platform
 import signal
 import subprocess
 import sys
@@ -246,6 +248,30 @@ def test_a_wrong_dask_address_is_told(monkeypatch):
         DaskCluster("tcp://127.0.0.1:1")
     with pytest.raises(OSError, match="no Dask scheduler answers at nonsense://x"):
         DaskCluster("nonsense://x")
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries keep what they like")
+def test_workers_of_a_dask_cluster_keep_the_memory_of_arrays():
+    from distributed import LocalCluster
+
+    def pages_fetched(count):
+        import resource
+
+        import numpy as np
+
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+        for _ in range(count):
+            np.ones(2**18)
+        return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+    options = {"dashboard_address": ":0", "silence_logs": logging.CRITICAL}
+    with (
+        LocalCluster(n_workers=1, threads_per_worker=1, **options) as cluster,
+        workers_for(2, cluster.scheduler_address) as pool,
+    ):
+        pool.submit(pages_fetched, 1).result()
+        fetched = pool.submit(pages_fetched, 100).result()
+    assert fetched < 10 * 2**21 / mmap.PAGESIZE  # of ten arrays out of a hundred
 
 
 def test_too_little_memory_for_workers_is_refused_before_they_start(monkeypatch):
