@@ -4,13 +4,11 @@ Work is divided into units, each of which a pure function computes. A unit whose
 again, and the assignment of units to workers has no effect on any file.
 """
 
-import ctypes
 import gc
 import importlib
 import logging
 import os
 import signal
-import sys
 import threading
 import time
 import warnings
@@ -29,6 +27,7 @@ from loky import cpu_count as cpu_count
 from loky.backend import resource_tracker as pool_tracker
 
 from armperturb.extras import naming_the_extra
+from armperturb.memory import keep_memory
 from armperturb.validation import require_number
 
 Unit = TypeVar("Unit")
@@ -50,11 +49,6 @@ LEAST_ADDRESSES = 10**9
 
 MAX_DEATHS = 3
 """How often in succession workers may die before a unit is finished: beyond that, the unit itself is at fault."""
-
-MALLOC = {-3: 2**24, -1: 2**26}
-"""glibc's M_MMAP_THRESHOLD and M_TRIM_THRESHOLD to their values [byte]: the memory of the largest arrays is returned at
-once, and that of others kept. Fetching it anew from the system for every array would double the time of a simulation;
-Dask sets thresholds that do so."""
 
 KEPT_MEMORY = {"LOKY_MAX_MEMORY_LEAK_SIZE": str(2**30)}
 """How much a process may keep after a unit [byte]; one that keeps more is started anew. With loky's own 300 MB it would
@@ -410,18 +404,10 @@ def _on_its_own(function: Callable[[Unit], Result], unit: Unit) -> Result:
     """Compute a unit on a Dask worker as if there were no cluster."""
     import dask
 
-    _keep_memory()
+    keep_memory()
     # xarray would ask the cluster for a lock on every file that it writes, even on one in memory, which fails.
     with dask.config.set(scheduler="synchronous"):
         return function(unit)
-
-
-def _keep_memory() -> None:
-    """Make this process keep the memory of arrays that it has freed (`MALLOC`), where the C library is glibc."""
-    if sys.platform == "linux":
-        library = ctypes.CDLL(None)
-        for option, value in MALLOC.items() if hasattr(library, "mallopt") else ():
-            library.mallopt(option, value)
 
 
 def _begin(parent: int, modules: Sequence[str]) -> None:
@@ -436,7 +422,7 @@ def _begin(parent: int, modules: Sequence[str]) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-    _keep_memory()
+    keep_memory()
     warnings.formatwarning = lambda message, *_: f"armperturb: warning: {' '.join(str(message).split())}\n"
     warnings.filterwarnings("ignore", HELPER_DIED, UserWarning)
     # Modules are no garbage: looking for it among them takes a sixth of the time that they take to load.

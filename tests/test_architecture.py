@@ -41,7 +41,7 @@ ARROWS = {
     "recording": {"files", "validation"},
     "recording_files": {"files", "foreign", "recording"},
     "archive": {"files"},
-    "workers": {"extras", "validation"},
+    "workers": {"extras", "memory", "validation"},
     "progress": set(),
     "perturbations": BASE,
     "controllers": BASE,
