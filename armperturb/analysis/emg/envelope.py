@@ -307,8 +307,8 @@ def envelopes(
             channel = np.ascontiguousarray(values[:, column])
             white = filtered(channel, column)
             compared[column] = white[: compared.shape[1]]
-            power[trial, :, column] = intervals.mean(np.square(white, dtype=float))
-            rectified[trial, :, column] = MODULUS * intervals.mean(np.abs(white))
+            power[trial, :, column] = intervals.mean(white, np.square)
+            rectified[trial, :, column] = MODULUS * intervals.mean(white, np.abs)
             of_channel = faults_of_channel(channel, white, spectra.below[trial, column], rate, trial, name)
             for fault in of_channel:
                 if fault.kind == "dead":

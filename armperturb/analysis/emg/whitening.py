@@ -1,6 +1,6 @@
 """The filter that makes the EMG of a person as informative of its amplitude as it can be; see `envelope`."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +18,9 @@ RESOLUTION = 12.5
 LONGEST_PART, BESIDE = 2**19, 4.0
 """Samples of a trial that are filtered at once: longer ones are cut into equal parts, for the sake of time and memory,
 and what is beside a part within such a time [s] is filtered with it, as notches ring."""
+
+TOGETHER = 2**13
+"""Intervals of which means are formed at once, so that what they are made of stays in a processor's cache."""
 
 EDGE_ORDER = 4
 """Order of the band's edges, as of a Butterworth filter that is run forward and backward."""
@@ -272,7 +275,7 @@ class Intervals:
     Args:
       n: samples of the signal.
       rate: of the samples [Hz].
-      start: of each interval [s], (interval,).
+      start: of each interval, in ascending order [s], (interval,).
       end: likewise.
     """
 
@@ -282,10 +285,16 @@ class Intervals:
         self._whole = np.minimum(edges.astype(int), n - 1)
         self._part = edges - self._whole
         self._size = np.maximum(edges[1] - edges[0], 1e-9)
-        self._summed = np.zeros(n + 1)
 
-    def mean(self, values: NDArray[Any]) -> Array:
-        """Mean of a signal (time,) in each interval, (interval,)."""
-        np.cumsum(values, out=self._summed[1:], dtype=float)
-        at_edge = self._summed[self._whole] * (1.0 - self._part) + self._summed[self._whole + 1] * self._part
-        return np.asarray((at_edge[1] - at_edge[0]) / self._size)
+    def mean(self, values: NDArray[Any], changed: Callable[..., NDArray[Any]]) -> Array:
+        """Mean of what a function makes of a signal (time,) in each interval, (interval,)."""
+        means = np.empty(len(self._size))
+        for first in range(0, len(means), TOGETHER):
+            block = slice(first, first + TOGETHER)
+            whole, part = self._whole[:, block], self._part[:, block]
+            start = whole[0, 0]
+            samples = changed(values[start : whole[1, -1] + 1], dtype=float)
+            summed = np.concatenate([[0.0], np.cumsum(samples)])
+            at_edge = summed[whole - start] + samples[whole - start] * part
+            means[block] = (at_edge[1] - at_edge[0]) / self._size[block]
+        return means

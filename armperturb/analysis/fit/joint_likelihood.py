@@ -231,7 +231,8 @@ class JointLikelihood:
         cost, slope = self._distance(values), (self._sharpness * (self._known - values))[None]
         information = np.diag(self._sharpness)[None].copy()
         for (at, likelihood), parameters in zip(self.parts, self.parameters(values), strict=True):
-            part, columns = likelihood.normal(parameters, self._mixing[at], quick=self.quick), self._of(at)
+            of_part = likelihood.step_normal if self.quick else likelihood.normal
+            part, columns = of_part(parameters, self._mixing[at]), self._of(at)
             cost += part.cost
             slope[0, columns] += part.slope
             information[0][np.ix_(columns, columns)] += part.information

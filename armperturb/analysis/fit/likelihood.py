@@ -21,9 +21,9 @@ import numpy as np
 from scipy import fft
 
 from armperturb.analysis.fit.frequency_bands import EXCITED_POWER
-from armperturb.analysis.fit.frequency_rows import applied, complex_values
+from armperturb.analysis.fit.frequency_rows import applied, applied_rows, complex_values
 from armperturb.analysis.fit.total_admittance import TotalAdmittance
-from armperturb.analysis.fit.whittle import ALL, ROUND_OFF, Whittle
+from armperturb.analysis.fit.whittle import ALL, ROUND_OFF, Normal, Whittle
 from armperturb.analysis.force_balance import NoiseLevels, gauge_gain
 from armperturb.arrays import Array, ComplexArray, Indices
 from armperturb.environment import Environment
@@ -153,6 +153,22 @@ class Likelihood(Whittle):
         share = np.subtract(self._answer(mean), gauge_gain(impedance, levels) * np.eye(2)[..., None])
         return np.stack([applied(share * s**power, self._observed) for power in (2, 1, 0)])
 
+    def step_normal(self, values: Array, mixing: Array) -> Normal:
+        """As `Whittle.step_normal`: many trials tell as much as two that have their forces' power.
+
+        The derivative dP d is linear in the force: the sum over trials of |W dP d|^2 depends on that of d d^H alone.
+        """
+        if self.n_trials <= 2:
+            return super().step_normal(values, mixing)
+        residual = self._white_rows(values)
+        load, white = self._force * self._filter[self._answering], complex_values(residual, self._observed.shape)
+        errors = applied(self._white.conj().swapaxes(0, 1), white)
+        slopes, information = self._answer.slopes_along(values, mixing, load, errors), 0.0
+        for derivatives in self._answer.driven_slopes(values, mixing, _with_power_of(load)):
+            rows = applied_rows(self._white, derivatives)
+            information += rows @ rows.T
+        return Normal(float(np.sum(residual**2)), slopes.sum(axis=0)[None], information[None])
+
     def _to_smooth(self, values: Array) -> ComplexArray:
         (a, b), (c, d) = self._total(values) * self._filter
         return np.stack([np.stack([d, -b]), np.stack([-c, a])]) / (a * d - b * c)
@@ -161,6 +177,15 @@ class Likelihood(Whittle):
         driven = self._answer.driven_slopes(values, mixing, self._force, self._filter[self._answering])
         for trial, derivatives in enumerate(driven):
             yield slice(trial, trial + 1), derivatives[:, None]
+
+
+def _with_power_of(loads: ComplexArray) -> ComplexArray:
+    """Two loads with the same sum of d d^H over trials as those given, (trial, axis, frequency)."""
+    first, second = loads.swapaxes(0, 1)
+    size = np.sqrt(np.sum(np.abs(first) ** 2, axis=0))
+    along = np.sum(second * first.conj(), axis=0) / np.where(size > 0.0, size, 1.0)
+    rest = np.maximum(np.sum(np.abs(second) ** 2, axis=0) - np.abs(along) ** 2, 0.0)
+    return np.array([[size, along], [np.zeros_like(along), np.sqrt(rest)]])
 
 
 class PeriodLikelihood(Likelihood):

@@ -186,22 +186,22 @@ def estimate(
     first_method: Method = "record" if any(group.period is None for group in groups) else "frequency"
     problem = JointLikelihood(groups, first_method, share)
     first = problem.stabilised(problem.initial(initial or {}))
-    judged = search = search_best(problem, first)
-    fitted = _judge(problem, first_method, judged)
-    if not np.isfinite(list(fitted.standard_error.values())).all():
+    search = search_best(problem, first)
+    if scaled(search.information)[1][0] <= SINGULAR:
         problem.require_identifiable(first)
+    problem.weigh(search.values)
+    fit = problem.lack_of_fit(search.values)
     is_given = initial is not None and len(initial) == len(problem.names)
-    if not is_given and (not fitted.converged or fitted.is_suspicious):
+    if not is_given and (not search.converged or fit.p_value < SUSPICIOUS):
         starts = [problem.published()]
-        if fitted.chi2 > LARGE_LACK * fitted.dof:
+        if fit.chi2 > LARGE_LACK * fit.dof:
             starts.append(problem.nearest())
         others = (search_best(problem, problem.stabilised(start)) for start in starts)
         search = min(search, *others, key=lambda each: problem.objective(each.values))
     if first_method != method:
         problem = JointLikelihood(groups, method, share)
         search = search_best(problem, problem.stabilised(search.values))
-    final = _with_trial_effects(problem, search)
-    return fitted if final is judged else _judge(problem, method, final)
+    return _judge(problem, method, _with_trial_effects(problem, search))
 
 
 class Sketch(NamedTuple):

@@ -58,6 +58,17 @@ class TrialsWithEmg:
             informations[:, acts[:, None], acts] += normal.informations
         return Normal(cost, slopes, informations)
 
+    def step_normal(self, values: Array, mixing: Array) -> Normal:
+        """As `Whittle.step_normal`."""
+        n = mixing.shape[1]
+        cost, slope, information = 0.0, np.zeros(n), np.zeros((n, n))
+        for each, of_its, acts in self._parts(values, mixing):
+            normal = each.step_normal(of_its, mixing[: of_its.shape[-1], acts])
+            cost += normal.cost
+            slope[acts] += normal.slope
+            information[acts[:, None], acts] += normal.information
+        return Normal(cost, slope[None], information[None])
+
     def informations(self, values: Array, mixing: Array) -> tuple[Array, Array]:
         """As `Whittle.informations`."""
         known, left = np.zeros((2, mixing.shape[1], mixing.shape[1]))

@@ -231,7 +231,7 @@ class Whittle:
         columns, rows = applied_rows(white, self._unknown), applied_rows(white, residual)
         amounts, basis = least_squares_rows(columns, rows)
         share = np.mean(np.sum(basis**2, axis=0).reshape(2 * self._n_outputs, -1), axis=0)
-        return np.asarray(residual - np.einsum("tc,caf->taf", amounts, self._unknown)), np.asarray(share)
+        return residual - np.tensordot(amounts, self._unknown, 1), np.asarray(share)
 
     def _left(self, rows: Array) -> Array:
         """Rows without what the unknown outputs span."""
@@ -285,6 +285,13 @@ class Whittle:
                     slopes[trial] += rows @ self._in_run(residual[trial], run)
                     informations[trial] += rows @ rows.T
         return Normal(float(np.sum(residual**2)), slopes if exact is None else exact, informations)
+
+    def step_normal(self, values: Array, mixing: Array) -> Normal:
+        """As a quick `normal`, for a step of a search: trials may be taken together, (1, parameter).
+
+        The information may then be that of a residual from which nothing is taken out.
+        """
+        return self.normal(values, mixing, quick=True)
 
     def informations(self, values: Array, mixing: Array) -> tuple[Array, Array]:
         """Fisher information of all trials, and what of it is left as the noise is estimated, (parameter, parameter).
