@@ -163,7 +163,7 @@ class Likelihood(Whittle):
         residual = self._white_rows(values)
         load, white = self._force * self._filter[self._answering], complex_values(residual, self._observed.shape)
         errors = applied(self._white.conj().swapaxes(0, 1), white)
-        slopes, information = self._answer.slopes_along(values, mixing, load, errors), 0.0
+        slopes, information = self._answer.slopes_along(values, mixing, load, errors), np.zeros(2 * mixing.shape[1:])
         for derivatives in self._answer.driven_slopes(values, mixing, _with_power_of(load)):
             rows = applied_rows(self._white, derivatives)
             information += rows @ rows.T

@@ -41,6 +41,17 @@ def test_variance_of_an_amplitude_is_at_the_bound_for_the_bandwidth(modulated):
     assert error < 5.0 * np.sqrt(bound / 10)
 
 
+def test_means_of_intervals_are_those_of_a_signal_that_is_constant_about_each_sample():
+    values = np.random.default_rng(5).normal(size=50_000)
+    start = np.arange(10_000) / 201.7 - 0.01
+    intervals = whitening.Intervals(len(values), 1000.0, start, start + 0.0073)
+    means = intervals.mean(values, np.square)
+    for place in np.random.default_rng(6).integers(10, 9_990, 50):
+        fine = np.linspace(1000.0 * start[place], 1000.0 * start[place] + 7.3, 7301)
+        about = values[np.round(0.5 * (fine[1:] + fine[:-1])).astype(int)]
+        assert means[place] == pytest.approx(np.mean(about**2), rel=2e-3)
+
+
 def test_a_long_trial_is_filtered_in_parts_to_the_same_amplitudes(monkeypatch):
     n = 16 * N
     hum = 2.0 * np.sin(2 * np.pi * 50.0 * np.arange(n) / EMG_RATE)

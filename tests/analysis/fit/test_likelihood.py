@@ -201,6 +201,24 @@ def test_a_long_record_takes_less_memory_to_the_same_result(from_rest, tolerance
         np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance * np.abs(expected).max())
 
 
+@pytest.mark.parametrize("axes", [1, 2])
+def test_a_step_takes_many_trials_together_to_the_same_result(axes):
+    structure, arm = STRUCTURES["3"], POSITION
+    rng = np.random.default_rng(4)
+    d = np.stack([multisine(trial, 3000) for trial in range(4)]) * (np.arange(2) < axes)
+    x = simulate_linear(arm, ENVIRONMENT, d + 0.05 * rng.normal(size=d.shape), RATE).displacement
+    values = structure.parameters("PT", np.array([getattr(arm, name) for name in structure.free]) * 1.02)
+    likelihood = by_record(d, x, arm)
+    likelihood.weigh(values)
+    found = likelihood.step_normal(values, structure.mixing)
+    each = likelihood.normal(values, structure.mixing, quick=True)
+    assert (len(found.slopes), len(each.slopes)) == (1, 4)
+    assert found.cost == pytest.approx(each.cost)
+    for name in ("slope", "information"):
+        expected = getattr(each, name)
+        np.testing.assert_allclose(getattr(found, name), expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+
+
 def test_bands_of_any_number_of_frequencies_have_the_same_averages(monkeypatch):
     power = np.geomspace(1e12, 1.0, 3000)[:, None] * np.random.default_rng(0).random((3000, 2))
     wanted = np.arange(0, 3000, 7)
