@@ -60,24 +60,25 @@ def cocontraction(
       Index, the mean over time of the lesser amplitude [-], and its ratio to the mean of both; NaN where both are
       silent.
     """
-    power = envelopes.power[trial, part]
-    mean = mean_known(power)
-    above = np.where(is_there, mean - envelopes.noise, np.nan)
+    used = flexors + extensors
+    power, silent = envelopes.power[trial, part][:, used], envelopes.noise[used]
+    mean, per_second = mean_known(power), envelopes.samples_per_second[used]
+    above = np.where(is_there[used], mean - silent, np.nan)
     of_noise = (mean / above) ** 2
-    wanted = NUMBERS * np.nan_to_num(of_noise / envelopes.samples_per_second)[flexors + extensors].max()
+    wanted = NUMBERS * np.nan_to_num(of_noise / per_second).max()
     n = max(round(min(wanted, LONGEST) * envelopes.rate) - 1, 1)  # each sample is a mean over two
     power = power[: len(power) // n * n].reshape(-1, n, power.shape[1]).mean(axis=1)
-    numbers = envelopes.samples_per_second * n * envelopes.averaging / (2.0 - 1.0 / n)
+    numbers = per_second * n * envelopes.averaging / (2.0 - 1.0 / n)
     too_small = np.minimum(of_noise / (4.0 * numbers), LARGEST_SHARE)
-    amplitude = np.nan_to_num(1.0 / (1.0 - too_small)) * envelopes.amplitude_of(power)
-    squared = np.maximum(power - envelopes.noise, 0.0) + 2.0 * envelopes.noise + envelopes.noise**2 / above
-    variance = np.where(is_there, squared / (2.0 * numbers), 0.0 * power)  # unknown where a channel is dead
+    amplitude = np.nan_to_num(1.0 / (1.0 - too_small)) * np.sqrt(np.maximum(power - silent, 0.0))
+    squared = np.maximum(power - silent, 0.0) + 2.0 * silent + silent**2 / above
+    variance = np.where(is_there[used], squared / (2.0 * numbers), 0.0 * power)  # unknown where a channel is dead
     one_side, other_side = (
         _Side(
             mean_known(amplitude[:, side].T),
             mean_known(variance[:, side].T) / np.maximum(np.isfinite(power[:, side]).sum(axis=1), 1),
         )
-        for side in (flexors, extensors)
+        for side in (slice(len(flexors)), slice(len(flexors), None))
     )
     lesser = _mean_of_lesser(one_side, other_side, round(WINDOW * envelopes.rate / n))
     both = float(mean_known(one_side.amplitude + other_side.amplitude)) / 2.0
