@@ -77,6 +77,9 @@ def bounded_step(normal: Normal, damping: float, lower: Array, upper: Array) -> 
     scale, power, directions = scaled(normal.information)
     root = np.sqrt(np.maximum(power, 0.0) + damping + SINGULAR)
     target = directions.T @ (normal.slope / scale) / root
+    whole = directions @ (target / root) / scale
+    if np.all((lower <= whole) & (whole <= upper)):
+        return np.asarray(whole)
     design = root[:, None] * directions.T
     free = upper > lower
     step = np.zeros(len(scale))

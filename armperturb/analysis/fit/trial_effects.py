@@ -92,6 +92,24 @@ class Mixed(NamedTuple):
     dof: Array
 
 
+class _Solved(NamedTuple):
+    """Generalised least squares at given spreads: see `Mixed`.
+
+    Attributes:
+      deviance: minus twice the restricted likelihood.
+      gradient: of the deviance by the logarithms of the spreads of quantities that trials tell of.
+      slope: see `Mixed`.
+      information: likewise.
+      weights: of each trial, as `Mixed` has them at these spreads.
+    """
+
+    deviance: float
+    gradient: Array
+    slope: Array
+    information: Array
+    weights: tuple[Array, ...]
+
+
 def fit_mixed(trials: Sequence[TrialScore], n_parameters: int, assumed: float | None = None) -> Mixed:
     """The spreads, and what follows from them.
 
@@ -111,7 +129,7 @@ def fit_mixed(trials: Sequence[TrialScore], n_parameters: int, assumed: float | 
         information_alike[np.ix_(trial.columns, trial.columns)] += trial.information
     tells = np.sum([np.diag(matrix) for matrix in within], axis=0) > 0.0
 
-    def solve(spread: Array) -> tuple[float, Array, Array, tuple[Array, ...]]:
+    def solve(spread: Array) -> _Solved:
         gram, weights = _gram_and_weight(within, spread)
         weighted = across @ weights
         slope = slope_alike - np.einsum("tpq,tq->p", weighted, force)
@@ -119,35 +137,42 @@ def fit_mixed(trials: Sequence[TrialScore], n_parameters: int, assumed: float | 
         deviance = float(np.sum(np.linalg.slogdet(gram)[1]) - np.einsum("tq,tqr,tr->", force, weights, force))
         scale, power, directions = scaled(information)
         known = power > SINGULAR
-        along = directions[:, known].T @ (slope / scale)
-        deviance += float(np.sum(np.log(power[known])) + 2 * np.sum(np.log(scale)) - np.sum(along**2 / power[known]))
-        return deviance, slope, information, tuple(weights)
+        root = directions[:, known] / np.sqrt(power[known]) / scale[:, None]
+        along = root.T @ slope
+        deviance += float(np.sum(np.log(power[known])) + 2 * np.sum(np.log(scale)) - np.sum(along**2))
+        left = np.einsum("tqr,tr->tq", weights, force) - weighted.swapaxes(1, 2) @ (root @ along)
+        # As w^-2 + D^T I D is the inverse of a weight W, its derivative by log w_q is 2 W_:q W_q: / w_q^2.
+        of_weights = np.diagonal(weights, axis1=1, axis2=2) + left**2
+        of_weights += np.sum((weighted.swapaxes(1, 2) @ root) ** 2, axis=2)
+        gradient = 2.0 * (len(trials) - of_weights[:, tells].sum(axis=0) / np.maximum(spread[tells], RANGE[0]) ** 2)
+        return _Solved(deviance, gradient, slope, information, tuple(weights))
 
-    def spread_of(logarithms: Array) -> Array:
+    def solve_at(logarithms: Array) -> _Solved:
         spread = np.zeros(n_quantities)
         spread[tells] = np.exp(logarithms)
-        return spread
+        return solve(spread)
 
-    loose = solve(np.where(tells, LOOSE, 0.0))[3]
+    loose = solve(np.where(tells, LOOSE, 0.0)).weights
     if assumed is not None:
         spread = np.where(tells, assumed, 0.0)
-        _, slope, information, _ = solve(spread)
-        return Mixed(spread, slope, information, loose, np.full(n_parameters, np.inf))
+        solved = solve(spread)
+        return Mixed(spread, solved.slope, solved.information, loose, np.full(n_parameters, np.inf))
     bounds = [tuple(np.log(RANGE))] * int(tells.sum())
     start = np.full(len(bounds), np.log(START))
-    logarithms = optimize.minimize(lambda v: solve(spread_of(v))[0], start, method="L-BFGS-B", bounds=bounds).x
-    if solve(spread_of(logarithms))[0] > solve(np.zeros(n_quantities))[0] - TOLD:
-        _, slope, information, _ = solve(np.zeros(n_quantities))
-        return Mixed(np.zeros(n_quantities), slope, information, loose, np.full(n_parameters, np.inf))
-    _, slope, information, _ = solve(spread_of(logarithms))
+    logarithms = optimize.minimize(lambda v: solve_at(v)[:2], start, jac=True, method="L-BFGS-B", bounds=bounds).x
+    alike, solved = solve(np.zeros(n_quantities)), solve_at(logarithms)
+    if solved.deviance > alike.deviance - TOLD:
+        return Mixed(np.zeros(n_quantities), alike.slope, alike.information, loose, np.full(n_parameters, np.inf))
 
-    def deviance_and_variances(values: Array) -> tuple[float, Array]:
-        deviance, _, information, _ = solve(spread_of(values))
-        return deviance, np.diag(inverse(information))
+    def gradient_and_variances(values: Array) -> tuple[Array, Array]:
+        solved = solve_at(values)
+        return solved.gradient, np.diag(inverse(solved.information))
 
+    spread = np.zeros(n_quantities)
+    spread[tells] = np.exp(logarithms)
     moving = [i for i, value in enumerate(logarithms) if value > bounds[i][0] + 1.0]
-    dof = _satterthwaite(deviance_and_variances, logarithms, moving)
-    return Mixed(spread_of(logarithms), slope, information, loose, dof)
+    dof = _satterthwaite(gradient_and_variances, logarithms, moving)
+    return Mixed(spread, solved.slope, solved.information, loose, dof)
 
 
 def _gram_and_weight(within: Array, spread: Array) -> tuple[Array, Array]:
@@ -182,29 +207,24 @@ def scatter(trials: Sequence[TrialScore], spread: Array, information: Array) -> 
 
 
 def _satterthwaite(
-    deviance_and_variances: Callable[[Array], tuple[float, Array]], at: Array, moving: Sequence[int]
+    gradient_and_variances: Callable[[Array], tuple[Array, Array]], at: Array, moving: Sequence[int]
 ) -> Array:
-    """Degrees of freedom of variances that depend on spreads, by differences of both, (parameter,).
+    """Degrees of freedom of variances that depend on spreads, by differences, (parameter,).
 
     Args:
-      deviance_and_variances: minus twice the restricted likelihood, and the variances, (parameter,), as a function of
-        the spreads' logarithms.
+      gradient_and_variances: derivative of minus twice the restricted likelihood by the spreads' logarithms, and the
+        variances, (parameter,), as functions of these.
       at: the most likely ones.
       moving: which of them are not at their least.
     """
-    _, variances = deviance_and_variances(at)
+    _, variances = gradient_and_variances(at)
     if not moving:
         return np.full(len(variances), np.inf)
-    steps = STEP * np.eye(len(at))[moving]
-    ends = [[deviance_and_variances(at + sign * step)[1] for sign in (1, -1)] for step in steps]
-    slopes = np.array([upper - lower for upper, lower in ends]) / (2 * STEP)
-    corners = [(1, 1, 1), (-1, -1, 1), (1, -1, -1), (-1, 1, -1)]
-    bend = [
-        [sum(sign * deviance_and_variances(at + a * step + b * other)[0] for a, b, sign in corners) for other in steps]
-        for step in steps
-    ]
+    ends = [[gradient_and_variances(at + sign * step) for sign in (1, -1)] for step in STEP * np.eye(len(at))[moving]]
+    bend = np.array([upper[0] - lower[0] for upper, lower in ends])[:, moving] / (2 * STEP)
+    slopes = np.array([upper[1] - lower[1] for upper, lower in ends]) / (2 * STEP)
     # Where the restricted likelihood is flat, a spread is as good as unknown within its range.
-    power, directions = np.linalg.eigh(np.array(bend) / (4 * STEP**2))
+    power, directions = np.linalg.eigh(0.5 * (bend + bend.T))
     covariance = (directions * (2.0 / np.maximum(power, FLAT))) @ directions.T
     with np.errstate(divide="ignore"):
         dof = 2.0 * variances**2 / np.einsum("ip,ij,jp->p", slopes, covariance, slopes)
