@@ -60,7 +60,7 @@ class Smoother:
             weights = np.repeat(1.0 / self.count, self.count)
             self._matrix = sparse.csr_array((weights, near, np.append(0, ends)), shape=(len(index), n))
 
-    def __call__(self, values: Array | ComplexArray) -> Array | ComplexArray:
+    def __call__(self, values: Array) -> Array:
         """Averages of values (frequency, ...) at the wanted frequencies."""
         if self._matrix is not None:
             return np.asarray(self._matrix @ values)

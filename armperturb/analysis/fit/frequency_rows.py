@@ -32,6 +32,23 @@ def applied_rows(matrix: ComplexArray, values: ComplexArray) -> Array:
     return rows.reshape(*values.shape[:-2], -1)
 
 
+def whitened(covariance: ComplexArray, matrix: ComplexArray) -> ComplexArray:
+    """L^-1 times matrices (row, column, frequency), with L the Cholesky root of covariances (row, row, frequency).
+
+    Of covariances the lower triangles are read. Where one is not positive definite, the result is not finite.
+    """
+    root, white = np.zeros_like(covariance), np.array(matrix, dtype=complex)
+    for row in range(len(covariance)):
+        for column in range(row):
+            known = np.sum(root[row, :column] * root[column, :column].conj(), axis=0)
+            root[row, column] = (covariance[row, column] - known) / root[column, column].real
+            white[row] -= root[row, column] * white[column]
+        left = covariance[row, row].real - np.sum(np.abs(root[row, :row]) ** 2, axis=0)
+        root[row, row] = np.sqrt(left)
+        white[row] /= root[row, row].real
+    return white
+
+
 def complex_values(rows: Array, shape: tuple[int, ...]) -> ComplexArray:
     """What `applied_rows` gives, as complex numbers of a shape (..., row, frequency)."""
     real, imaginary = np.split(rows, 2, axis=-1)

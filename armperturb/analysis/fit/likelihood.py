@@ -174,8 +174,8 @@ class Likelihood(Whittle):
         return np.stack([np.stack([d, -b]), np.stack([-c, a])]) / (a * d - b * c)
 
     def _quick_slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, ComplexArray]]:
-        driven = self._answer.driven_slopes(values, mixing, self._force, self._filter[self._answering])
-        for trial, derivatives in enumerate(driven):
+        load = self._force * self._filter[self._answering]
+        for trial, derivatives in enumerate(self._answer.driven_slopes(values, mixing, load)):
             yield slice(trial, trial + 1), derivatives[:, None]
 
 
@@ -245,8 +245,7 @@ class RecordLikelihood(Likelihood):
         super().__init__(signals, frequency[self._used], d, applied, observed, slice(None), self._taper)
         fine = fft.rfftfreq(self._n_padded, 1.0 / rate)
         fine = fine[: np.searchsorted(fine, min(1.3 * top, 0.5 * rate))]
-        # A model cannot be asked at zero frequency, where powers of it stand in denominators.
-        self._model = TotalAdmittance(signals.body, np.maximum(fine, 1e-6), signals.environment)
+        self._model = TotalAdmittance(signals.body, fine, signals.environment)
         load = fft.rfft(force, self._n_padded, axis=-1)[..., : len(fine)]
         self._load = load * whitening(fine, rate)
         self._past: ComplexArray | None = None

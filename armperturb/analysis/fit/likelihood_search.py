@@ -21,8 +21,16 @@ WEIGHED_ROUNDS = 20
 """Steps before which the noise is re-estimated. A search that lasts longer alternates between two noise spectra: from
 then on the noise is held."""
 
-SETTLED = 0.01
-"""A step this small in units of the standard error ends the search [-]."""
+REFINED_ROUNDS = 6
+"""The same of a search that refines another one."""
+
+SETTLED, SKETCHED = 0.01, 0.2
+"""A step this small in units of the standard error ends a search, and one that is to be refined or compared [-]."""
+
+
+STALLED = 0.1
+"""A step that had to be shortened so far below that size ends a search too, once the noise is held [-]: derivatives
+that leave something out lead no further."""
 
 
 class Searchable(Protocol):
@@ -94,16 +102,28 @@ def step_size(normal: Normal, step: Array) -> float:
 
 
 def search_from(
-    problem: Searchable, values: Array, *, weigh: bool = True, settled: float = SETTLED, most: int = MAX_ROUNDS
+    problem: Searchable,
+    values: Array,
+    *,
+    weighed: int = WEIGHED_ROUNDS,
+    settled: float = SETTLED,
+    most: int = MAX_ROUNDS,
 ) -> Searched:
-    """Gauss-Newton steps within bounds; if `weigh`, the noise is re-estimated before each of the first steps.
+    """Gauss-Newton steps within bounds.
 
     No step leads to an unstable arm, or from an unstable start to one that is less stable.
+
+    Args:
+      problem: the likelihood.
+      values: to start from, (parameter,).
+      weighed: first steps before each of which the noise is estimated anew.
+      settled: size of the step that ends the search, in units of the standard error [-].
+      most: steps after which it ends in any case.
     """
     damping = 0.0
     limit = max(0.0, problem.pole(values))
     for n_rounds in range(1, most + 1):
-        if weigh and n_rounds <= WEIGHED_ROUNDS:
+        if n_rounds <= weighed:
             problem.weigh(values)
         normal = problem.normal(values)
         room = problem.lower - values, problem.upper - values
@@ -119,14 +139,17 @@ def search_from(
             damping = max(10.0 * damping, 1e-3)
             if damping > 1e8:
                 return Searched(values, normal.information, f"not converged: {reason}", False, n_rounds)
+        if n_rounds > weighed and step_size(normal, after - values) < STALLED * settled:
+            return Searched(after, normal.information, f"not converged: {reason}", False, n_rounds)
         values, damping = after, damping / 10.0 if damping > 1e-6 else 0.0
     return Searched(values, normal.information, f"not converged: {most} steps were not enough", False, most)
 
 
 def search_best(problem: JointLikelihood, start: Array) -> Searched:
     """The most likely values; of long trials, full derivatives refine what quick ones lead to."""
-    if problem.is_long:
-        problem.quick = True
-        start = search_from(problem, start).values
-        problem.quick = False
-    return search_from(problem, start)
+    if not problem.is_long:
+        return search_from(problem, start)
+    problem.quick = True
+    start = search_from(problem, start, settled=SKETCHED).values
+    problem.quick = False
+    return search_from(problem, start, weighed=REFINED_ROUNDS)

@@ -16,6 +16,7 @@ from armperturb.analysis.fit.group import Group, Method, require_one_person
 from armperturb.analysis.fit.joint_likelihood import PART_OF, JointLikelihood
 from armperturb.analysis.fit.likelihood_search import (
     SETTLED,
+    SKETCHED,
     Searched,
     bounded_step,
     search_best,
@@ -40,8 +41,8 @@ from armperturb.arrays import Array
 from armperturb.subject import Subject
 from armperturb.validation import require_one_of
 
-SKETCHED, SKETCH_ROUNDS = 0.2, 12
-"""Size of the step, and number of steps, that end the search of a sketch."""
+SKETCH_ROUNDS = 12
+"""Steps after which the search of a sketch ends."""
 
 EFFECT_ROUNDS = 6
 """Steps after which the search for the differences between trials ends."""
@@ -166,7 +167,7 @@ def estimate(
       method: "frequency" (mean periods; fast) or "record" (all of each trial; best, started from the former).
       share: parameters that are the same in all conditions: names of parameters, or of `SHARES`.
       initial: values to start from, named as in `Estimate.values`, SI; linear least squares for those not given. Where
-        all are given, no other start is tried.
+        all of the arms are given, no other start is tried.
 
     Raises:
       ValueError: there is no group, groups differ in person or posture, a shared name is unknown, an initial value is
@@ -191,8 +192,8 @@ def estimate(
         problem.require_identifiable(first)
     problem.weigh(search.values)
     fit = problem.lack_of_fit(search.values)
-    is_given = initial is not None and len(initial) == len(problem.names)
-    if not is_given and (not search.converged or fit.p_value < SUSPICIOUS):
+    of_arms = {problem.names[column] for columns in problem.columns for column in columns}
+    if not of_arms <= set(initial or ()) and (not search.converged or fit.p_value < SUSPICIOUS):
         starts = [problem.published()]
         if fit.chi2 > LARGE_LACK * fit.dof:
             starts.append(problem.nearest())
@@ -292,7 +293,7 @@ def profile(
                 f"{name} = {point!r}; expected {bounds[0][column]:g} to {bounds[1][column]:g} {unit(name.split()[0])}"
             )
         problem.lower[column] = problem.upper[column] = point
-        held = search_from(problem, np.clip(best, problem.lower, problem.upper), weigh=False)
+        held = search_from(problem, np.clip(best, problem.lower, problem.upper), weighed=0)
         deviance[index] = problem.cost(held.values) - least
         problem.lower, problem.upper = bounds[0].copy(), bounds[1].copy()
     return deviance

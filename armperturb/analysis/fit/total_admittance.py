@@ -1,7 +1,9 @@
-"""Admittance of arm and environment at any number of frequencies, in runs of them for the sake of memory.
+"""Admittance of arm and environment at any number of frequencies.
 
-The derivatives by all parameters take some kB per frequency, and a trial of an hour has half a million frequencies.
-Trials of some minutes are one run.
+It is smooth over frequency, as responses die away within seconds. A trial of an hour has half a million frequencies:
+there the arm is asked at fewer, even ones, and what is between them is interpolated. The derivatives by all parameters,
+which take some kB per frequency, are then made in runs of frequencies for the sake of memory. Trials of some minutes
+are one run.
 """
 
 import itertools
@@ -11,12 +13,22 @@ import numpy as np
 
 from armperturb.analysis.arm.linear_arm import LinearArm
 from armperturb.analysis.arm.parameters import groups_of
+from armperturb.analysis.numerics.refinement import Refinement
 from armperturb.arrays import Array, ComplexArray
 from armperturb.environment import Environment
 from armperturb.subject import Subject
 
 LONGEST_RUN, SHORTER_RUN = 2**14, 2**12
-"""Frequencies up to which derivatives are evaluated at once, and how many of more than these."""
+"""Frequencies up to which derivatives are evaluated at once, and about how many of more than these."""
+
+NODES = 1.0 / 128.0
+"""Largest distance of frequencies between which is interpolated [Hz]: arms are then exact to 1e-7 or better."""
+
+LEAST_FACTOR = 4
+"""Frequencies for each at which the arm is asked, at least; with fewer it is asked at all."""
+
+ZERO = 1e-6
+"""Frequency in place of zero [Hz], as powers of it stand in denominators."""
 
 
 class TotalAdmittance:
@@ -24,43 +36,47 @@ class TotalAdmittance:
 
     Args:
       body: gives segments and posture.
-      frequency: [Hz], (frequency,).
+      frequency: [Hz], rising, (frequency,).
       environment: what the hand holds.
     """
 
     def __init__(self, body: Subject, frequency: Array, environment: Environment) -> None:
-        self._environment = environment
-        length = LONGEST_RUN if len(frequency) <= LONGEST_RUN else SHORTER_RUN
-        ends = [*range(0, len(frequency), length), len(frequency)]
-        self._runs = [slice(*between) for between in itertools.pairwise(ends)]
-        self._arms = [LinearArm(body, frequency[run]) for run in self._runs]
+        self._environment, n = environment, len(frequency)
+        step = float(frequency[-1] - frequency[0]) / (n - 1) if n > 1 else NODES
+        factor = int(NODES / step)
+        is_even = bool(np.all(np.abs(frequency - frequency[-1] - step * np.arange(1 - n, 1)) <= ZERO))
+        self._refinement = Refinement(n, factor) if is_even and factor >= LEAST_FACTOR else None
+        asked = frequency
+        if self._refinement:
+            asked = frequency[-1] + step * (1 - n + self._refinement.places)
+        self._arm = LinearArm(body, np.where(np.abs(asked) < ZERO, ZERO, asked))
+        self._block = self._refinement.factor if self._refinement else 1
+        length = n if n <= LONGEST_RUN else max(SHORTER_RUN // self._block, 1) * self._block
+        self._runs = [slice(*between) for between in itertools.pairwise([*range(0, n, length), n])]
 
     def __call__(self, values: Array) -> ComplexArray:
         """P of an arm with these parameters [m/N], (output, input, frequency)."""
-        parts = [np.moveaxis(arm.total_admittance(values, self._environment), 0, -1) for arm in self._arms]
-        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
+        return self._at(np.moveaxis(self._arm.total_admittance(values, self._environment), 0, -1))
 
-    def driven_slopes(
-        self,
-        values: Array,
-        mixing: Array,
-        loads: ComplexArray,
-        scale: ComplexArray | None = None,
-    ) -> Iterator[ComplexArray]:
+    def driven_slopes(self, values: Array, mixing: Array, loads: ComplexArray) -> Iterator[ComplexArray]:
         """Derivatives of P d by the free parameters, of one trial after the other, (free parameter, axis, frequency).
 
         Args:
           values: parameters of the arm, (parameter,).
           mixing: (arm parameter, free parameter).
           loads: DFT of d, (trial, axis, frequency).
-          scale: of P, if it is not 1, (frequency,).
         """
-        gradients = [self._gradient(0, values, mixing, scale)] if len(self._runs) == 1 else None
+        groups, index = groups_of(np.any(mixing != 0.0, axis=1))
+        by_all = self._gradient(values, groups)
+        # Real and imaginary parts beside one another: the mixing is real.
+        mixed = (mixing[index].T @ by_all.reshape(len(index), -1).view(float)).view(complex)
+        asked = mixed.reshape(-1, *by_all.shape[1:])
+        whole = self._at(asked) if len(self._runs) == 1 else None
         for first, second in loads:
             driven = np.empty((mixing.shape[1], 2, len(first)), dtype=complex)
-            for number, run in enumerate(self._runs):
+            for run in self._runs:
                 # Those of all runs would be too large to be kept for the next trial.
-                gradient = gradients[0] if gradients else self._gradient(number, values, mixing, scale)
+                gradient = self._at(asked, run) if whole is None else whole
                 np.multiply(gradient[:, :, 0], first[run], out=driven[..., run])
                 driven[..., run] += gradient[:, :, 1] * second[run]
             yield driven
@@ -76,21 +92,21 @@ class TotalAdmittance:
           loads: DFT of d, (trial, axis, frequency).
           directions: of each trial, (axis, frequency).
         """
+        groups, index = groups_of(np.any(mixing != 0.0, axis=1))
+        by_all = self._gradient(values, groups).reshape(len(index), -1).view(float)
         # As x.re m.re - x.im m.im is the real part of x m, conjugates beside one another give it by one product.
-        outer = [direction[:, None] * load.conj() for direction, load in zip(directions, loads, strict=True)]
-        slopes = np.zeros((mixing.shape[1], len(loads)))
-        groups, index = groups_of(np.any(mixing != 0.0, axis=1))
-        for arm, run in zip(self._arms, self._runs, strict=True):
-            by_all = arm.total_and_gradient(values, self._environment, groups)[1].transpose(3, 1, 2, 0)
-            along = np.array([each[..., run].ravel() for each in outer]).view(float)
-            slopes += mixing[index].T @ (by_all.reshape(len(index), -1).view(float) @ along.T)
-        return slopes.T
+        along = (direction[:, None] * load.conj() for direction, load in zip(directions, loads, strict=True))
+        asked = np.array([(self._refinement.transpose(each) if self._refinement else each).ravel() for each in along])
+        return np.asarray((mixing[index].T @ (by_all @ asked.view(float).T)).T)
 
-    def _gradient(self, number: int, values: Array, mixing: Array, scale: ComplexArray | None) -> ComplexArray:
-        """Derivatives of P by the free parameters in one run, (free parameter, output, input, frequency)."""
-        groups, index = groups_of(np.any(mixing != 0.0, axis=1))
-        by_all = self._arms[number].total_and_gradient(values, self._environment, groups)[1].transpose(3, 1, 2, 0)
-        # Real and imaginary parts beside one another: the mixing is real.
-        mixed = mixing[index].T @ by_all.reshape(len(index), -1).view(float)
-        gradient = mixed.view(complex).reshape(-1, *by_all.shape[1:])
-        return gradient if scale is None else gradient * scale[self._runs[number]]
+    def _gradient(self, values: Array, groups: tuple[str, ...]) -> ComplexArray:
+        """Derivatives of P by the groups' parameters where the arm is asked, (parameter, output, input, asked)."""
+        by_all = self._arm.total_and_gradient(values, self._environment, groups)[1]
+        return np.ascontiguousarray(by_all.transpose(3, 1, 2, 0))
+
+    def _at(self, asked: ComplexArray, run: slice | None = None) -> ComplexArray:
+        """What the arm answers (..., asked), at all frequencies or in a run of them, (..., frequency)."""
+        if self._refinement is None:
+            return asked if run is None else asked[..., run]
+        blocks = slice(None) if run is None else slice(run.start // self._block, -(-run.stop // self._block))
+        return self._refinement.fine(asked, blocks)

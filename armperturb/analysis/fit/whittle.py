@@ -28,6 +28,7 @@ from armperturb.analysis.fit.frequency_rows import (
     complex_values,
     least_squares_rows,
     orthonormal,
+    whitened,
 )
 from armperturb.analysis.fit.total_admittance import LONGEST_RUN, SHORTER_RUN
 from armperturb.arrays import Array, ComplexArray, Indices
@@ -205,16 +206,20 @@ class Whittle:
         quiet = to_force[..., self._quiet]
         half = np.einsum("acf,cdf->adf", quiet, self._noise_power)
         power[..., self._quiet] = np.einsum("adf,bdf->abf", half, quiet.conj())
-        smooth = self._smoother(power.reshape(n * n, -1).T).reshape(-1, n, n) * self._dependence
+        # Real numbers in place of Hermitian matrices: half of these say nothing new.
+        diagonal, below = np.diag_indices(n), np.tril_indices(n, -1)
+        numbers = np.concatenate([power[diagonal].real, power[below].real, power[below].imag])
+        smoothed = self._dependence * self._smoother(numbers.T).T
         if leverage is not None:
             left = np.ones(len(self._frequency))
             left[self._answering] -= leverage
-            smooth /= self._smoother(left)[:, None, None]
-        floor = self._least + ROUND_OFF * np.trace(smooth, axis1=1, axis2=2).real
-        root = np.linalg.cholesky(smooth + floor[:, None, None] * np.eye(n))
+            smoothed /= self._smoother(left)
+        smoothed[:n] += self._least + ROUND_OFF * smoothed[:n].sum(axis=0)
+        covariance = np.zeros((n, n, smoothed.shape[1]), dtype=complex)
+        real, imaginary = np.split(smoothed[n:], 2)
+        covariance[diagonal], covariance[below] = smoothed[:n], real + 1j * imaginary
         # Real and imaginary part of the residual have half its power each.
-        white = np.sqrt(2.0) * np.linalg.solve(root, np.moveaxis(answers, -1, 0))
-        self._white = np.ascontiguousarray(np.moveaxis(white, 0, -1))
+        self._white = np.sqrt(2.0) * whitened(covariance, answers)
         if self._unknown is not None:
             self._span = orthonormal(applied_rows(self._white, self._unknown))
 
