@@ -167,7 +167,7 @@ def estimate(
       method: "frequency" (mean periods; fast) or "record" (all of each trial; best, started from the former).
       share: parameters that are the same in all conditions: names of parameters, or of `SHARES`.
       initial: values to start from, named as in `Estimate.values`, SI; linear least squares for those not given. Where
-        all of the arms are given, no other start is tried.
+        all are given, no other start is tried.
 
     Raises:
       ValueError: there is no group, groups differ in person or posture, a shared name is unknown, an initial value is
@@ -192,8 +192,8 @@ def estimate(
         problem.require_identifiable(first)
     problem.weigh(search.values)
     fit = problem.lack_of_fit(search.values)
-    of_arms = {problem.names[column] for columns in problem.columns for column in columns}
-    if not of_arms <= set(initial or ()) and (not search.converged or fit.p_value < SUSPICIOUS):
+    is_given = initial is not None and len(initial) == len(problem.names)
+    if not is_given and (not search.converged or fit.p_value < SUSPICIOUS):
         starts = [problem.published()]
         if fit.chi2 > LARGE_LACK * fit.dof:
             starts.append(problem.nearest())
