@@ -1,9 +1,10 @@
 """What an hour in one trial costs `identify`: processor time, and memory of all its processes together.
 
-Run `python -m benchmarks.hour [--minutes N] [--recording FILE.nc] [-- OPTION ...]`; four minutes. A person is perturbed
-for an hour, recorded at 200 Hz with eight channels of EMG at 2 kHz, and identified with model 3b, where the trials
-choose the structure, and likewise with the EMG; with options after `--`, only with these. Targets on idle cores: 60 s
-and 1 GB. A recording that is there already is not simulated again.
+Run `python -m benchmarks.hour [--minutes N] [--periodic] [--recording FILE.nc] [-- OPTION ...]`; two minutes. A person
+is perturbed for an hour by multisines of new phases every 32 s, or with `--periodic` by a single one, recorded at
+200 Hz with eight channels of EMG at 2 kHz, and identified with model 3b, where the trials choose the structure, and
+likewise with the EMG; with options after `--`, only with these. Targets on idle cores: 60 s and 1 GB. A recording that
+is there already is not simulated again.
 """
 
 import argparse
@@ -30,12 +31,12 @@ WAYS: tuple[list[str], ...] = (["--model", "3b"], [], ["--emg"])
 RATE, PERIOD = 200.0, 32.0
 
 
-def record(path: Path, minutes: float) -> None:
-    """Records one person under multisines of random phases, one after the other."""
+def record(path: Path, minutes: float, *, periodic: bool) -> None:
+    """Records one person under one multisine, or several of random phases one after the other."""
     n_samples = round(60.0 * minutes * RATE)
-    n_period = round(PERIOD * RATE)
-    drawn = [Multisine.draw(seed=seed, rms=3.0, crested=False) for seed in range(-(-n_samples // n_period))]
-    force = np.concatenate([multisine.sample(RATE, n_period) for multisine in drawn])[:n_samples]
+    n_each = n_samples if periodic else round(PERIOD * RATE)
+    drawn = [Multisine.draw(seed=seed, rms=3.0, crested=False) for seed in range(-(-n_samples // n_each))]
+    force = np.concatenate([multisine.periodic(RATE, n_each) for multisine in drawn])[:n_samples]
     noise = HumanNoise(remnant_share=0.1, voluntary_share=0.1)
     trial = Trial(subject=POSITION, perturbation=Sampled(force=force, rate=RATE), noise=noise, seed=1)
     instruments = Instruments(emg=Emg(), marker_noise=None)
@@ -68,14 +69,15 @@ def main(arguments: list[str] | None = None) -> None:
     """Print the costs."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--minutes", type=float, default=60.0)
+    parser.add_argument("--periodic", action="store_true")
     parser.add_argument("--recording", type=Path)
     parser.add_argument("options", nargs="*", help="of identify")
     asked = parser.parse_args([] if arguments is None else arguments)
     with tempfile.TemporaryDirectory() as name:
         path = asked.recording or Path(name) / "hour.nc"
         if not path.exists():
-            script = f"from benchmarks.hour import *; record(Path({str(path)!r}), {asked.minutes})"
-            made = [sys.executable, "-c", script]
+            call = f"record(Path({str(path)!r}), {asked.minutes}, periodic={asked.periodic})"
+            made = [sys.executable, "-c", f"from benchmarks.hour import *; {call}"]
             subprocess.run(made, check=True)
         for options in [asked.options] if asked.options else WAYS:
             command = [
