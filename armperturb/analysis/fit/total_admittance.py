@@ -22,7 +22,8 @@ LONGEST_RUN, SHORTER_RUN = 2**14, 2**12
 """Frequencies up to which derivatives are evaluated at once, and about how many of more than these."""
 
 NODES = 1.0 / 128.0
-"""Largest distance of frequencies between which is interpolated [Hz]: arms are then exact to 1e-7, beside zero to 2e-6."""
+"""Largest distance of frequencies between which is interpolated [Hz]: arms are then exact to 1e-7, and to 2e-6 beside
+zero."""
 
 LEAST_FACTOR = 4
 """Frequencies for each at which the arm is asked, at least; with fewer it is asked at all."""
