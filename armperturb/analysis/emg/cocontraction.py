@@ -70,8 +70,9 @@ def cocontraction(
     power = power[: len(power) // n * n].reshape(-1, n, power.shape[1]).mean(axis=1)
     numbers = per_second * n * envelopes.averaging / (2.0 - 1.0 / n)
     too_small = np.minimum(of_noise / (4.0 * numbers), LARGEST_SHARE)
-    amplitude = np.nan_to_num(1.0 / (1.0 - too_small)) * np.sqrt(np.maximum(power - silent, 0.0))
-    squared = np.maximum(power - silent, 0.0) + 2.0 * silent + silent**2 / above
+    of_muscle = np.maximum(power - silent, 0.0)
+    amplitude = np.nan_to_num(1.0 / (1.0 - too_small)) * np.sqrt(of_muscle)
+    squared = of_muscle + 2.0 * silent + silent**2 / above
     variance = np.where(is_there[used], squared / (2.0 * numbers), 0.0 * power)  # unknown where a channel is dead
     one_side, other_side = (
         _Side(

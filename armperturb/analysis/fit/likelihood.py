@@ -15,6 +15,7 @@ the likelihood is that of the rest. Arms of trials may differ, so that P differs
 """
 
 from collections.abc import Iterator
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -153,6 +154,20 @@ class Likelihood(Whittle):
         share = np.subtract(self._answer(mean), gauge_gain(impedance, levels) * np.eye(2)[..., None])
         return np.stack([applied(share * s**power, self._observed) for power in (2, 1, 0)])
 
+    @cached_property
+    def _driving(self) -> ComplexArray:
+        """DFT of d as the whitening filter lets it through, (trial, axis, answer)."""
+        return np.asarray(self._force * self._filter[self._answering])
+
+    @cached_property
+    def _alike(self) -> ComplexArray:
+        """Two loads with the same sum of d d^H as `_driving` has over all trials, (trial, axis, answer)."""
+        first, second = self._driving.swapaxes(0, 1)
+        size = np.sqrt(np.sum(np.abs(first) ** 2, axis=0))
+        along = np.sum(second * first.conj(), axis=0) / np.where(size > 0.0, size, 1.0)
+        rest = np.maximum(np.sum(np.abs(second) ** 2, axis=0) - np.abs(along) ** 2, 0.0)
+        return np.array([[size, along], [np.zeros_like(along), np.sqrt(rest)]])
+
     def step_normal(self, values: Array, mixing: Array) -> Normal:
         """As `Whittle.step_normal`: many trials tell as much as two that have their forces' power.
 
@@ -161,10 +176,11 @@ class Likelihood(Whittle):
         if self.n_trials <= 2:
             return super().step_normal(values, mixing)
         residual = self._white_rows(values)
-        load, white = self._force * self._filter[self._answering], complex_values(residual, self._observed.shape)
+        white = complex_values(residual, self._observed.shape)
         errors = applied(self._white.conj().swapaxes(0, 1), white)
-        slopes, information = self._answer.slopes_along(values, mixing, load, errors), np.zeros(2 * mixing.shape[1:])
-        for derivatives in self._answer.driven_slopes(values, mixing, _with_power_of(load)):
+        slopes = self._answer.slopes_along(values, mixing, self._driving, errors)
+        information = np.zeros(2 * mixing.shape[1:])
+        for derivatives in self._answer.driven_slopes(values, mixing, self._alike):
             rows = applied_rows(self._white, derivatives)
             information += rows @ rows.T
         return Normal(float(np.sum(residual**2)), slopes.sum(axis=0)[None], information[None])
@@ -174,18 +190,8 @@ class Likelihood(Whittle):
         return np.stack([np.stack([d, -b]), np.stack([-c, a])]) / (a * d - b * c)
 
     def _quick_slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, ComplexArray]]:
-        load = self._force * self._filter[self._answering]
-        for trial, derivatives in enumerate(self._answer.driven_slopes(values, mixing, load)):
+        for trial, derivatives in enumerate(self._answer.driven_slopes(values, mixing, self._driving)):
             yield slice(trial, trial + 1), derivatives[:, None]
-
-
-def _with_power_of(loads: ComplexArray) -> ComplexArray:
-    """Two loads with the same sum of d d^H over trials as those given, (trial, axis, frequency)."""
-    first, second = loads.swapaxes(0, 1)
-    size = np.sqrt(np.sum(np.abs(first) ** 2, axis=0))
-    along = np.sum(second * first.conj(), axis=0) / np.where(size > 0.0, size, 1.0)
-    rest = np.maximum(np.sum(np.abs(second) ** 2, axis=0) - np.abs(along) ** 2, 0.0)
-    return np.array([[size, along], [np.zeros_like(along), np.sqrt(rest)]])
 
 
 class PeriodLikelihood(Likelihood):
@@ -212,14 +218,12 @@ class PeriodLikelihood(Likelihood):
         force[..., power <= EXCITED_POWER * power.max()] = 0.0
         applied = spectrum(signals.applied)
         super().__init__(signals, frequency[used], force, applied, spectrum(signals.displacement), excited)
-        self._load = force[..., excited] * self._filter[excited]
 
     def _predicted(self, values: Array, trials: slice = ALL) -> ComplexArray:
-        return applied(self._answer(values), self._load[trials])
+        return applied(self._answer(values), self._driving[trials])
 
     def _slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, ComplexArray]]:
-        for trial, derivatives in enumerate(self._answer.driven_slopes(values, mixing, self._load)):
-            yield slice(trial, trial + 1), derivatives[:, None]
+        return self._quick_slopes(values, mixing)
 
 
 class RecordLikelihood(Likelihood):

@@ -27,7 +27,6 @@ REFINED_ROUNDS = 6
 SETTLED, SKETCHED = 0.01, 0.2
 """A step this small in units of the standard error ends a search, and one that is to be refined or compared [-]."""
 
-
 STALLED = 0.1
 """A step that had to be shortened so far below that size ends a search too, once the noise is held [-]: derivatives
 that leave something out lead no further."""

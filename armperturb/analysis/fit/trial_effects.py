@@ -147,10 +147,10 @@ def fit_mixed(trials: Sequence[TrialScore], n_parameters: int, assumed: float | 
         gradient = 2.0 * (len(trials) - of_weights[:, tells].sum(axis=0) / np.maximum(spread[tells], RANGE[0]) ** 2)
         return _Solved(deviance, gradient, slope, information, tuple(weights))
 
-    def solve_at(logarithms: Array) -> _Solved:
+    def spread_of(logarithms: Array) -> Array:
         spread = np.zeros(n_quantities)
         spread[tells] = np.exp(logarithms)
-        return solve(spread)
+        return spread
 
     loose = solve(np.where(tells, LOOSE, 0.0)).weights
     if assumed is not None:
@@ -159,17 +159,18 @@ def fit_mixed(trials: Sequence[TrialScore], n_parameters: int, assumed: float | 
         return Mixed(spread, solved.slope, solved.information, loose, np.full(n_parameters, np.inf))
     bounds = [tuple(np.log(RANGE))] * int(tells.sum())
     start = np.full(len(bounds), np.log(START))
-    logarithms = optimize.minimize(lambda v: solve_at(v)[:2], start, jac=True, method="L-BFGS-B", bounds=bounds).x
-    alike, solved = solve(np.zeros(n_quantities)), solve_at(logarithms)
+    logarithms = optimize.minimize(
+        lambda v: solve(spread_of(v))[:2], start, jac=True, method="L-BFGS-B", bounds=bounds
+    ).x
+    spread = spread_of(logarithms)
+    alike, solved = solve(np.zeros(n_quantities)), solve(spread)
     if solved.deviance > alike.deviance - TOLD:
         return Mixed(np.zeros(n_quantities), alike.slope, alike.information, loose, np.full(n_parameters, np.inf))
 
     def gradient_and_variances(values: Array) -> tuple[Array, Array]:
-        solved = solve_at(values)
+        solved = solve(spread_of(values))
         return solved.gradient, np.diag(inverse(solved.information))
 
-    spread = np.zeros(n_quantities)
-    spread[tells] = np.exp(logarithms)
     moving = [i for i, value in enumerate(logarithms) if value > bounds[i][0] + 1.0]
     dof = _satterthwaite(gradient_and_variances, logarithms, moving)
     return Mixed(spread, solved.slope, solved.information, loose, dof)

@@ -1,6 +1,6 @@
 """Movement and EMG of the same trials: how likely they are together."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,25 +49,24 @@ class TrialsWithEmg:
 
     def normal(self, values: Array, mixing: Array, *, quick: bool = False) -> Normal:
         """As `Whittle.normal`."""
-        n_trials, n = self.n_trials, mixing.shape[1]
-        cost, slopes, informations = 0.0, np.zeros((n_trials, n)), np.zeros((n_trials, n, n))
+        return self._added(values, mixing, self.n_trials, lambda each, *of: each.normal(*of, quick=quick))
+
+    def step_normal(self, values: Array, mixing: Array) -> Normal:
+        """As `Whittle.step_normal`."""
+        return self._added(values, mixing, 1, lambda each, *of: each.step_normal(*of))
+
+    def _added(
+        self, values: Array, mixing: Array, n_rows: int, ask: Callable[[Whittle, Array, Array], Normal]
+    ) -> Normal:
+        """What movement and EMG say together, (row, parameter)."""
+        n = mixing.shape[1]
+        cost, slopes, informations = 0.0, np.zeros((n_rows, n)), np.zeros((n_rows, n, n))
         for each, of_its, acts in self._parts(values, mixing):
-            normal = each.normal(of_its, mixing[: of_its.shape[-1], acts], quick=quick)
+            normal = ask(each, of_its, mixing[: of_its.shape[-1], acts])
             cost += normal.cost
             slopes[:, acts] += normal.slopes
             informations[:, acts[:, None], acts] += normal.informations
         return Normal(cost, slopes, informations)
-
-    def step_normal(self, values: Array, mixing: Array) -> Normal:
-        """As `Whittle.step_normal`."""
-        n = mixing.shape[1]
-        cost, slope, information = 0.0, np.zeros(n), np.zeros((n, n))
-        for each, of_its, acts in self._parts(values, mixing):
-            normal = each.step_normal(of_its, mixing[: of_its.shape[-1], acts])
-            cost += normal.cost
-            slope[acts] += normal.slope
-            information[acts[:, None], acts] += normal.information
-        return Normal(cost, slope[None], information[None])
 
     def informations(self, values: Array, mixing: Array) -> tuple[Array, Array]:
         """As `Whittle.informations`."""

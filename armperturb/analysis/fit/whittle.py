@@ -292,11 +292,12 @@ class Whittle:
         return Normal(float(np.sum(residual**2)), slopes if exact is None else exact, informations)
 
     def step_normal(self, values: Array, mixing: Array) -> Normal:
-        """As a quick `normal`, for a step of a search: trials may be taken together, (1, parameter).
+        """As a quick `normal` of all trials together, (1, parameter), for a step of a search.
 
-        The information may then be that of a residual from which nothing is taken out.
+        The information may be that of a residual from which nothing is taken out.
         """
-        return self.normal(values, mixing, quick=True)
+        normal = self.normal(values, mixing, quick=True)
+        return Normal(normal.cost, normal.slope[None], normal.information[None])
 
     def informations(self, values: Array, mixing: Array) -> tuple[Array, Array]:
         """Fisher information of all trials, and what of it is left as the noise is estimated, (parameter, parameter).

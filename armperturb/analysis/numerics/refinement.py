@@ -29,7 +29,8 @@ class Refinement:
             [
                 [np.prod([(t - other) / (node - other) for other in nodes if other != node]) for node in nodes]
                 for t in at
-            ]
+            ],
+            dtype=complex,
         )
 
     @property
@@ -41,14 +42,14 @@ class Refinement:
         """Values (..., node) on the fine grid, or on blocks of it, each of `factor` numbers, (..., number)."""
         first, last, _ = blocks.indices(self.n_blocks)
         windows = sliding_window_view(nodes[..., first : last + BEFORE + AFTER], BEFORE + 1 + AFTER, axis=-1)
-        values = np.ascontiguousarray(windows) @ self._basis.T.astype(complex)
+        values = np.ascontiguousarray(windows) @ self._basis.T
         return np.asarray(values.reshape(*nodes.shape[:-1], -1)[..., : self.n - first * self.factor])
 
     def transpose(self, values: ComplexArray) -> ComplexArray:
         """Of `fine`: what values (..., number) have of each node, (..., node)."""
         padded = np.zeros((*values.shape[:-1], self.n_blocks * self.factor), dtype=complex)
         padded[..., : self.n] = values
-        parts = padded.reshape(*values.shape[:-1], self.n_blocks, self.factor) @ self._basis.astype(complex)
+        parts = padded.reshape(*values.shape[:-1], self.n_blocks, self.factor) @ self._basis
         nodes = np.zeros((*values.shape[:-1], self.n_blocks + BEFORE + AFTER), dtype=complex)
         for place in range(BEFORE + 1 + AFTER):
             nodes[..., place : place + self.n_blocks] += parts[..., place]
