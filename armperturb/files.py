@@ -3,6 +3,7 @@
 import csv
 import errno
 import hashlib
+import math
 import os
 import re
 import secrets
@@ -289,8 +290,8 @@ def write_csv(table: "pd.DataFrame | Iterable[Mapping[str, Any]]", path: str | P
     """Write a table as CSV with a header line, numbers in full precision, and no text that a spreadsheet would run.
 
     Args:
-      table: a pandas DataFrame, whose truth values are written as true and false; or at least one row, all with the
-        keys of the first.
+      table: a pandas DataFrame, or at least one row, all with the keys of the first. Truth values are written as true
+        and false.
       path: of the file.
     """
     frame: Any = table if hasattr(table, "to_dict") else None
@@ -299,15 +300,29 @@ def write_csv(table: "pd.DataFrame | Iterable[Mapping[str, Any]]", path: str | P
         columns = list(rows[0])
     else:
         columns = list(frame.columns)
-        rows = frame.map(lambda value: str(value).lower() if isinstance(value, bool) else value).to_dict("records")
+        rows = frame.to_dict("records")
     with written_whole(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, fieldnames=columns, lineterminator="\n")
         writer.writeheader()
         writer.writerows({name: _as_text(cell) for name, cell in row.items()} for row in rows)
 
 
+def finite_or_none(value: Any) -> Any:
+    """What JSON is to hold, with None for each number that it cannot: infinite ones and NaN."""
+    if isinstance(value, Mapping):
+        return {key: finite_or_none(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite_or_none(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
 def _as_text(cell: Any) -> Any:
-    """A cell that a spreadsheet does not run: one that begins as a formula does gets an apostrophe, unless a number."""
+    """A cell that a spreadsheet does not run: one that begins as a formula does gets an apostrophe, unless a number.
+
+    Truth values are true and false.
+    """
+    if isinstance(cell, bool) or str(getattr(cell, "dtype", "")) == "bool":
+        return str(cell).lower()
     if not isinstance(cell, str) or cell == "-" or not cell.startswith(("=", "+", "-", "@", "\t", "\r")):
         return cell
     try:

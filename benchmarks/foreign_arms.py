@@ -105,7 +105,7 @@ def report(rows: list[dict]) -> None:
 
 
 def main() -> None:
-    """Identify the arms that are not in the file yet, and report on all."""
+    """Identify the arms that are not in the file yet, and report on all that are asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--n", type=int, default=40, help="arms")
     parser.add_argument("--seed", type=int, default=0, help="of the first arm; the others follow")
@@ -121,7 +121,8 @@ def main() -> None:
             for future in as_completed(waiting):
                 yield future.result()
 
-    report(with_kept_rows(asked.out, range(asked.seed, asked.seed + asked.n), judged))
+    of_all = {"mujoco": asked.mujoco, "model": asked.model, "given": asked.given}
+    report(with_kept_rows(asked.out, range(asked.seed, asked.seed + asked.n), judged, **of_all))
 
 
 if __name__ == "__main__":

@@ -86,7 +86,8 @@ def main(arguments: Sequence[str] = ()) -> None:
     parser.add_argument("--kept", type=Path, default=None, help="file of rows; a run that was stopped goes on")
     options = parser.parse_args(arguments)
     seeds = range(options.seed, options.seed + options.people)
-    rows = with_kept_rows(options.kept, seeds, lambda wanted: rows_of(wanted, options))
+    of_all = {"trials": options.trials, "all": options.all}
+    rows = with_kept_rows(options.kept, seeds, lambda wanted: rows_of(wanted, options), **of_all)
     for kind, name in ((True, "half-wave"), (False, "linear")):
         of_kind = [row for row in rows if row["half_wave"] is kind]
         right = sum(row["chosen"] is kind for row in of_kind)

@@ -193,7 +193,7 @@ def myoarm() -> None:
 
 
 def main() -> None:
-    """Identify the arms that are not in the file yet, and report on all."""
+    """Identify the arms that are not in the file yet, and report on all that are asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--n", type=int, default=8, help="arms")
     parser.add_argument("--seed", type=int, default=0, help="of the first arm; the others follow")
@@ -207,7 +207,8 @@ def main() -> None:
         (myoarm if asked.myoarm else human)()
         return
     seeds = range(asked.seed, asked.seed + asked.n)
-    report(with_kept_rows(asked.out, seeds, lambda left: (judge(seed, asked.rms, asked.remnant) for seed in left)))
+    of_all = {"rms": asked.rms, "remnant": asked.remnant}
+    report(with_kept_rows(asked.out, seeds, lambda left: (judge(seed, **of_all) for seed in left), **of_all))
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ import argparse
 import sys
 import time
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -147,8 +148,8 @@ def main(options: argparse.Namespace) -> None:
     for servo in options.servos:
         started = time.process_time()
         wanted = {f"{number} {reflex} {servo}" for number in numbers for reflex in REFLEXES}
-        rows = with_kept_rows(options.kept, wanted, lambda left: rows_of(left, is_given=options.given))
-        rows = [row for row in rows if row["seed"] in wanted]
+        of_all = {"is_given": options.given}
+        rows = with_kept_rows(options.kept, wanted, partial(rows_of, **of_all), **of_all)
         spent = time.process_time() - started
         print(f"{servo} servo, {options.people} people of each kind, {spent:.0f} s of processor time")
         for name, target in TARGETS.items():

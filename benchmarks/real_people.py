@@ -14,7 +14,7 @@ import numpy as np
 
 from armperturb.analysis.joint.identify import JointIdentification, identify_joint
 from armperturb.analysis.joint.model import JointModel, JointStructure
-from armperturb.analysis.joint.prediction import fit_free_model
+from armperturb.analysis.joint.prediction import explained, fit_free_model
 from armperturb.analysis.joint.signals import JointSignals, joint_signals, mean_angle
 from armperturb.analysis.results import plain
 from armperturb.plots.style import new_figure, save_svg
@@ -110,7 +110,7 @@ def elbow_table(path: Path) -> list[str]:
 def prototype(train: JointSignals, test: JointSignals) -> float:
     """VAF [%] of a test by least squares with a half-wave reflex and short-range stiffness, the best of a grid."""
     best, share = math.inf, math.nan
-    target, left = train.torque[:, train.used].ravel(), test.torque[:, test.used].ravel()
+    target, judged = train.torque[:, train.used].ravel(), test.torque[:, test.used]
     for side in (1, -1):
         structure = JointStructure(reflex="half-wave", side=side, short_range=True)
         models = JointModel(structure, train), JointModel(structure, test)
@@ -127,7 +127,7 @@ def prototype(train: JointSignals, test: JointSignals) -> float:
                 columns.append(np.stack([np.ones_like(parts[0]), *parts], axis=1))
             weights = np.linalg.lstsq(columns[0], target, rcond=None)[0]
             if (cost := float(np.var(target - columns[0] @ weights))) < best:
-                best, share = cost, 100.0 * float(1.0 - np.var(left - columns[1] @ weights) / np.var(left))
+                best, share = cost, explained(judged, (columns[1] @ weights).reshape(judged.shape))
     return share
 
 
@@ -138,9 +138,8 @@ def turned_round(path: Path) -> str:
     first, second = (whole.isel(time=part) for part in (slice(0, n // 2), slice(n // 2, n)))
     second = second.assign_coords(time=second["time"] - second["time"][0])
     train, test = (joint_signals(half, reference=mean_angle(second)) for half in (second, first))
-    left = test.torque[:, test.used]
-    miss = left - fit_free_model(train).torque(test)[:, test.used]
-    return f"| {TRIALS[path.stem][0]} | {prototype(train, test):.1f} | {100.0 * (1.0 - miss.var() / left.var()):.1f} |"
+    share = explained(test.torque[:, test.used], fit_free_model(train).torque(test)[:, test.used])
+    return f"| {TRIALS[path.stem][0]} | {prototype(train, test):.1f} | {share:.1f} |"
 
 
 def page(folder: Path) -> str:
@@ -149,7 +148,7 @@ def page(folder: Path) -> str:
     lines = ["## Held-out prediction", ""]
     lines += [
         "Fitted on the first half of each trial; the torque of the second half is simulated from the angle alone, "
-        "below 60 Hz and without its mean. The prototype is a least-squares fit with a rectified reflex.",
+        "below 60 Hz and without its mean and drift. The prototype is a least-squares fit with a rectified reflex.",
         "",
     ]
     lines += ["| trial | prototype [%] | parallel cascade [%] | free model [%] | what `identify` reports [%] |"]

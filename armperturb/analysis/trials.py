@@ -207,7 +207,8 @@ class ConditionTrials:
         At the workspace limit the handle is blocked, and near the end of a record `displacement` is not reliable.
         """
         limit = min(float(self.limit.min(initial=np.inf)), self.n_samples)
-        return min(self.n_samples - round(EDGE * self.rate), round(limit), self.last or self.n_samples)
+        last = self.n_samples if self.last is None else self.last
+        return min(self.n_samples - round(EDGE * self.rate), round(limit), last)
 
     @property
     def balance(self) -> Balance:
@@ -341,12 +342,11 @@ class ConditionTrials:
           period: as stated [s]; None if it is to be found.
 
         Raises:
-          ValueError: the perturbation does not repeat.
+          ValueError: the perturbation does not repeat, or a period is not a whole number of samples.
         """
         if period is None:
             return
-        require_number("analysis", "period", period, above=0.0)
-        n_period, first = round(period * self.rate), round(window_start * self.rate) // 2
+        n_period, first = samples_of_period(period, self.rate), round(window_start * self.rate) // 2
         for trial, end in enumerate(self.onset.tolist()):
             d = self.perturbation[trial, first:end]
             earlier, later = d[:-n_period], d[n_period:]

@@ -290,7 +290,7 @@ class Identify(Command):
 
         return Origin(
             command=command_line(self),
-            files={path.name: checksum(path) for path in self.recordings},
+            files={str(path): checksum(path) for path in self.recordings},
             notes=tuple(notes),
             window_start=self.window_start,
             period=self.period,

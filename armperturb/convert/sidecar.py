@@ -181,7 +181,7 @@ class Sidecar:
         )
         # A recording of one axis says what its device does, and has no directions.
         kind, other = ("servo", "axes") if "servo" in top else ("axes", "servo")
-        top.require_only([name for name in (*known, "guessed") if name != other], (kind, "signals", "labels"))
+        top.require_only([name for name in known if name != other], (kind, "signals", "labels"))
         guessed = top.fields("guessed")
         _require_closed(top, {name: guessed.text(name) for name in guessed})
         rate, time, mass = top.rate("rate"), None, None

@@ -43,6 +43,7 @@ def draw_multisine(
         raise ValueError(f"draw_multisine: power of shape {power.shape}; expected {expected}")
     if not power.any(axis=0).all():
         raise ValueError("draw_multisine: power of an axis is zero at all lines; expected some")
+    require_number("draw_multisine", "n_period", n_period, at_least=8, at_most=4096, whole=True)
     highest = n_period // 4 - 1
     if lines.min() < 1 or lines.max() > highest:
         raise ValueError(f"draw_multisine: lines from {lines.min()} to {lines.max()}; expected 1 to {highest}")

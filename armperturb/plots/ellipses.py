@@ -10,7 +10,7 @@ from matplotlib.patches import Patch
 
 from armperturb.arrays import Array
 from armperturb.plots.panels import legend
-from armperturb.plots.style import GREY, INK, PALE, colours_for, figure_for, in_style
+from armperturb.plots.style import GREY, INK, PALE, colours_for, figure_for, in_style, round_number_below
 
 LARGEST = 0.45
 """Longer half axis of the largest ellipse of a panel over the length of the stretched arm [-]."""
@@ -85,7 +85,7 @@ def plot_ellipses(postures: Mapping[str, Posture], units: Mapping[str, str], fig
     (left, bottom), (right, top) = middle - half, middle + half
     axes[0].set(xlim=(left, right), ylim=(bottom, top), ylabel="y [m]")
     for ax, scale, quantities in zip(axes, scales, PANELS.values(), strict=True):
-        size = _nice(0.3 * reach / scale)
+        size = round_number_below(0.3 * reach / scale)
         ends, at = (right - margin - scale * size, right - margin), bottom + margin
         ax.plot(ends, (at, at), color=INK, linewidth=2.0, solid_capstyle="butt")
         ax.text(ends[1], at + 0.3 * margin, f"{size:g} {units[quantities[0]]}", ha="right", va="bottom")
@@ -95,9 +95,3 @@ def plot_ellipses(postures: Mapping[str, Posture], units: Mapping[str, str], fig
         handles += [Line2D([], [], color=colour, linestyle=DASHED, label="with reflexes, static")]
     legend(figure, *handles, Patch(facecolor=GREY, alpha=0.4, label="95 %"), n_columns=4)
     return axes
-
-
-def _nice(value: float) -> float:
-    """The largest of 1, 2 and 5 times a power of ten that is not above a value."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(max(factor * power for factor in (1.0, 2.0, 5.0) if factor * power <= value))

@@ -67,7 +67,7 @@ def plot_envelopes(envelopes: EnvelopesLike, figure: Figure | None, trial: int, 
       ValueError: there is no such trial.
     """
     n = len(envelopes.power)
-    if not -n <= trial < n:
+    if not 0 <= trial < n:
         raise ValueError(f"plot: trial = {trial}; expected 0 to {n - 1}")
     groups = {
         word: [name for name, action in envelopes.muscles.items() if action.joints == joints]

@@ -48,7 +48,7 @@ def plot_recording(
     n = recording.sizes["trial"]
     chosen = list(range(n)) if trial is None else [int(k) for k in np.atleast_1d(trial)]
     for k in chosen:
-        if not -n <= k < n:
+        if not 0 <= k < n:
             raise ValueError(f"plot: trial = {k}; expected 0 to {n - 1}")
     shown = recording.isel(trial=chosen)
     names = [name for name in SHOWN if name in shown.data_vars]

@@ -86,6 +86,12 @@ def colours_for(n: int) -> list[str]:
     return [INK] if n == 1 else [PALETTE[i % len(PALETTE)] for i in range(n)]
 
 
+def round_number_below(value: float) -> float:
+    """The largest of 1, 2 and 5 times a power of ten that is not above a positive value, but for rounding."""
+    power = 10.0 ** np.floor(np.log10(value * (1.0 + 1e-9)))
+    return float(power * max(step for step in (1, 2, 5) if step * power <= value * (1.0 + 1e-9)))
+
+
 def new_figure(height: float, width: float = WIDTH) -> Figure:
     """An empty figure [inch] that belongs to no window and to no list of open figures."""
     return Figure(figsize=(width, height), layout="constrained")

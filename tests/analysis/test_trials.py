@@ -86,6 +86,13 @@ def test_the_found_period_is_that_which_is_stated(relax_recording):
             trials.check_period(8.0, period)
     trials.check_period(8.0, 20.48)
     trials.check_period(8.0, None)
+    with pytest.raises(ValueError, match=r"period of 0\.001 s is a whole number of samples"):
+        trials.check_period(8.0, 0.001)
+
+
+def test_trials_that_are_cut_at_their_first_sample_have_nothing_to_fit(relax_recording):
+    trials = ConditionTrials.prepare(relax_recording)
+    assert trials.before(0).end == 0
 
 
 def test_recordings_of_other_lengths_have_one_period(relax_recording):

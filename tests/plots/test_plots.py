@@ -42,6 +42,8 @@ def test_single_trials_and_conditions(noisy_relax_recording):
     assert [text.get_text() for text in both[0, 0].figure.legends[0].get_texts()] == ["RT7.5", "RT22.5"]
     with pytest.raises(ValueError, match="trial = 6; expected 0 to 5"):
         armperturb.plot(without, trial=6)
+    with pytest.raises(ValueError, match="trial = -1; expected 0 to 5"):
+        armperturb.plot(without, trial=-1)
 
 
 def test_figures_of_pyplot_are_made_where_none_is_given(relax_recording):

@@ -9,7 +9,7 @@ from armperturb.analysis.fit.identify import Identification, Identifications
 from armperturb.analysis.fit.maximum_likelihood import Estimate
 from armperturb.analysis.fit.thesis import ThesisEstimate
 from armperturb.analysis.measures.endpoint import is_straight, plot_endpoints
-from armperturb.files import write_csv, written_together
+from armperturb.files import finite_or_none, write_csv, written_together
 
 
 def fit_summary(identification: Identification) -> dict[str, Any]:
@@ -85,7 +85,8 @@ def write_identification(results: Identifications, folder: str | Path) -> list[P
 
     folder = Path(folder)
     summaries = {label: fit_summary(result) for label, result in results.items()}
-    summary = json.dumps(next(iter(summaries.values())) if len(summaries) == 1 else summaries, indent=2)
+    content = finite_or_none(next(iter(summaries.values())) if len(summaries) == 1 else summaries)
+    summary = json.dumps(content, indent=2, allow_nan=False)
     bent = {label: result for label, result in results.items() if not is_straight(result.fit.arm.theta_e_deg)}
     endpoints = {label: result.endpoint() for label, result in bent.items()}
 

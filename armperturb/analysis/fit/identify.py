@@ -18,7 +18,7 @@ from armperturb.analysis.fit.group import Group, parts_by_condition
 from armperturb.analysis.fit.ladder import Choice, choose_structure, nearest_to_linear
 from armperturb.analysis.fit.maximum_likelihood import Estimate, estimate
 from armperturb.analysis.fit.own_structures import composed
-from armperturb.analysis.fit.structures import STRUCTURES, Structure, structure_of, unit
+from armperturb.analysis.fit.structures import Structure, is_published, structure_of, unit
 from armperturb.analysis.fit.thesis import ThesisEstimate, fit_trials
 from armperturb.analysis.fit.use_emg import UseOfEmg
 from armperturb.analysis.measures.endpoint import EndpointImpedance
@@ -312,7 +312,7 @@ def identify_conditions(
                 choose_structure(*each, estimator, with_emg=with_emg) for each in zip(groups, moved, strict=True)
             ]
             fits = {choice.condition: _chosen_fit(choice) for choice in choices}
-        elif structure.name in STRUCTURES:
+        elif is_published(structure):
             joint = estimate([with_emg(group) for group in groups], estimator, share=share)
             fits = {group.label: _likely_fit(joint, group, spectra[group.label]) for group in groups}
         else:

@@ -74,6 +74,9 @@ Place = tuple[Inertia, Grip, Reflex]
 RICHEST: Place = ("free", "spring", "position")
 """The rung of which all others are special cases."""
 
+SIMPLER: Place = ("free", "spring", "velocity")
+"""The same without position feedback."""
+
 Geometry = Callable[[Subject | None], Group | None]
 """Trials of one condition in the geometry of the start posture, from an estimate of the arm."""
 
@@ -230,6 +233,11 @@ def choose_structure(
             promising = refuted or fits[other].score < limit or sum(_rank(other)) < sum(_rank(place))
             if other not in tried and promising:
                 tried[other] = _sketched(group, other, fits[other], [tried[place], richest], method)
+        for other, rung in tried.items():
+            # No structure is less likely than its special case: its search ended in the wrong place.
+            special = min((tried[each] for each in tried if _is_special(each, other)), key=_objective, default=rung)
+            if _objective(special) < _objective(rung):
+                tried[other] = min(rung, _sketched(group, other, fits[other], [special], method), key=_objective)
         scored = _scored(tuple(tried.values()))
         if scored[0][:3] == place:
             break
@@ -271,19 +279,21 @@ def _nearest_to_linear(recorded: Group, in_geometry: Geometry | None, method: Me
         rung = _richest(group, () if arm is None else [tried[-1][1]], method)
         arm = rung.structure.arm(group.body, rung.sketch.values)
         tried.append((group, rung))
-    return min(tried, key=lambda each: each[1].sketch.objective)
+    return min(tried, key=lambda each: _objective(each[1]))
 
 
 def _richest(group: Group, others: Sequence[Rung], method: Method) -> Rung:
-    """The rung of which all others are special cases; if it is refuted, searched longer and from another start."""
+    """The rung of which all others are special cases; if it is refuted, searched longer and from other starts."""
     start = _fit_of_spectra(group, RICHEST)
     rung = _sketched(group, RICHEST, start, others, method)
     if not _is_refuted(rung):
         return rung
+    # With position feedback the likelihood has further maxima, at delays that are far too long.
+    simpler = _sketched(group, SIMPLER, _fit_of_spectra(group, SIMPLER), (), method)
     usual = np.array([start.structure.initial[name] for name in start.structure.free])
-    starts = usual, rung.sketch.values
+    starts = usual, rung.sketch.values, _carried(simpler.structure, simpler.sketch.values, start.structure)
     longer = [_sketched(group, RICHEST, start._replace(values=each), (), method, MAX_ROUNDS) for each in starts]
-    return min(longer, key=lambda each: each.sketch.objective)
+    return min(longer, key=_objective)
 
 
 def _is_refuted(rung: Rung) -> bool:
@@ -295,6 +305,15 @@ def _is_refuted(rung: Rung) -> bool:
 def _rank(place: Place) -> tuple[int, ...]:
     """How far up each choice is."""
     return tuple(order.index(choice) for order, choice in zip(ORDER, place, strict=True))
+
+
+def _is_special(place: Place, other: Place) -> bool:
+    """Whether a rung is a special case of another one."""
+    return place != other and all(a <= b for a, b in zip(_rank(place), _rank(other), strict=True))
+
+
+def _objective(rung: Rung) -> float:
+    return rung.sketch.objective
 
 
 def _neighbours(place: Place) -> list[Place]:

@@ -199,10 +199,30 @@ def estimate(
             starts.append(problem.nearest())
         others = (search_best(problem, problem.stabilised(start)) for start in starts)
         search = min(search, *others, key=lambda each: problem.objective(each.values))
+        problem.weigh(search.values)
+        fit = problem.lack_of_fit(search.values)
+        if fit.chi2 > LARGE_LACK * fit.dof:
+            again = search_best(problem, _with_usual_delays(problem))
+            search = min(search, again, key=lambda each: problem.objective(each.values))
     if first_method != method:
         problem = JointLikelihood(groups, method, share)
         search = search_best(problem, problem.stabilised(search.values))
     return _judge(problem, method, _with_trial_effects(problem, search))
+
+
+def _with_usual_delays(problem: JointLikelihood) -> Array:
+    """The most likely values whose delays and activation dynamics are those of the structures' starts, (parameter,).
+
+    Where they are free the likelihood has further maxima, at delays that are far too long, from which a search does not
+    find back.
+    """
+    bounds, usual = (problem.lower.copy(), problem.upper.copy()), problem.published()
+    for column, name in enumerate(problem.names):
+        if name.startswith(("Td_", "fact_", "zeta_")):
+            problem.lower[column] = problem.upper[column] = usual[column]
+    values = search_best(problem, problem.stabilised(usual)).values
+    problem.lower, problem.upper = bounds
+    return values
 
 
 class Sketch(NamedTuple):

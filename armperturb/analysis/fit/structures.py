@@ -334,6 +334,15 @@ def structure_of(model: Structure | str, *, wide: bool = False) -> Structure:
     return model
 
 
+def is_published(structure: Structure) -> bool:
+    """Whether a structure is one of `STRUCTURES`, or one of these `Structure.widened`, whatever it is called."""
+
+    def content(of: Structure) -> tuple[object, ...]:
+        return of.bounds, of.initial, of.fixed, of.tied, of.prior
+
+    return any(content(structure) in (content(each), content(each.widened())) for each in STRUCTURES.values())
+
+
 def published_starts(appendix: str, structure: Structure) -> Mapping[str, Mapping[str, float]]:
     """Name of each start of an appendix to its initial values, SI.
 

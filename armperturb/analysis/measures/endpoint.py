@@ -38,6 +38,9 @@ if TYPE_CHECKING:
 STRAIGHT_DEG = 1.0
 """An elbow that is closer than this to straight or folded leaves the hand a direction in which it cannot move [deg]."""
 
+RIGHT_DEG = 1.0
+"""An elbow that is closer than this to a right angle does not show the coupling of its segments [deg]."""
+
 LARGEST_EXPONENT = 700.0
 """Beyond which an exponential has no number."""
 
@@ -298,13 +301,20 @@ def endpoint_impedance(
       condition: in which the arm was identified.
 
     Raises:
-      ValueError: the elbow is straight or folded, the posture is out of range, or a force is not two finite numbers.
+      ValueError: the elbow is straight or folded, the posture is out of range, a force is not two finite numbers, or
+        the elbow is another one than the recorded right angle of an arm whose inertia is beyond that of its segments.
     """
     shoulder, elbow = posture_deg or (arm.theta_s_deg, arm.theta_e_deg)
     if is_straight(elbow):
         raise ValueError(
             f"endpoint: theta_e_deg = {elbow!r}; expected an elbow at least {STRAIGHT_DEG:g} deg from straight or "
             "folded, where the hand cannot move along the arm (posture_deg chooses another posture)"
+        )
+    if elbow != arm.theta_e_deg and any((arm.i_s, arm.i_se, arm.i_e)) and abs(abs(arm.theta_e_deg) - 90.0) < RIGHT_DEG:
+        raise ValueError(
+            f"endpoint: theta_e_deg = {elbow!r}; expected the recorded {arm.theta_e_deg:g} deg, as at a right angle "
+            "the inertia of the joints does not show how it changes with the elbow (an arm of segment masses has it in "
+            "any posture)"
         )
     recorded, held = (_force(each) for each in (recorded_force, recorded_force if force is None else force))
     there = replace(arm, theta_s_deg=shoulder, theta_e_deg=elbow)

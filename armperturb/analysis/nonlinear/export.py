@@ -1,14 +1,13 @@
 """Results of a nonlinear identification as files that any other program reads."""
 
 import json
-import math
 from pathlib import Path
 from typing import Any
 
 from armperturb.analysis.nonlinear.choice import Gain
 from armperturb.analysis.nonlinear.identify import NonlinearIdentification
 from armperturb.analysis.nonlinear.prediction import median_peak
-from armperturb.files import write_csv, written_together
+from armperturb.files import finite_or_none, write_csv, written_together
 
 CHECKPOINTS = "checkpoint*.json.gz"
 """Files of searches that have not ended."""
@@ -19,10 +18,14 @@ def fit_summary(result: NonlinearIdentification) -> dict[str, Any]:
     estimate, choice = result.estimate, result.choice
 
     def of_gain(gain: Gain) -> dict[str, Any]:
-        error = gain.standard_error if math.isfinite(gain.standard_error) else None
-        return {"log_likelihood": gain.mean, "standard_error": error, "dof": gain.dof, "shown": gain.is_shown}
+        return {
+            "log_likelihood": gain.mean,
+            "standard_error": gain.standard_error,
+            "dof": gain.dof,
+            "shown": gain.is_shown,
+        }
 
-    return {
+    summary = {
         "model": "nonlinear",
         "law": estimate.model.law,
         "emg": list(result.emg),
@@ -51,6 +54,7 @@ def fit_summary(result: NonlinearIdentification) -> dict[str, Any]:
             if pulses
         },
     }
+    return finite_or_none(summary)
 
 
 def write_nonlinear(result: NonlinearIdentification, folder: Path) -> None:
@@ -65,6 +69,6 @@ def write_nonlinear(result: NonlinearIdentification, folder: Path) -> None:
         write_csv(result.to_frame(), parameters)
         write_csv(result.estimate.correlation_frame().reset_index(names="parameter"), correlations)
         write_csv(result.pulse_frame(), predictions)
-        fitted.write_text(json.dumps(fit_summary(result), indent=2) + "\n", encoding="utf-8")
+        fitted.write_text(json.dumps(fit_summary(result), indent=2, allow_nan=False) + "\n", encoding="utf-8")
     for checkpoint in folder.glob(CHECKPOINTS):
         checkpoint.unlink()

@@ -11,8 +11,9 @@ import numpy as np
 from armperturb.analysis.fit import structures
 from armperturb.arrays import Array
 from armperturb.files import packaged_table
-from armperturb.muscle_law import ELEMENTS, MuscleLaw
+from armperturb.muscle_law import ELEMENTS, MAX_PARTS, MuscleLaw
 from armperturb.subject import Subject, at_level
+from armperturb.validation import require_number
 
 Law = Literal["linear", "short-range", "full", "half-wave"]
 """No muscle law; short-range stiffness with yielding; also thixotropy, shear-thinning damping, spindle saturation; and,
@@ -107,9 +108,11 @@ class Model:
       free: what is free besides the default: "Td", "fact".
       tied: parameter to the other one whose value it has, e.g. "elastic_limit_deg.elbow": "elastic_limit_deg.shoulder".
       shared: parameters that are the same in both tasks.
+      parts: elasto-plastic parts of each muscle group. With few, the likelihood has several maxima; more take longer.
 
     Raises:
-      ValueError: the law or a name is unknown.
+      ValueError: the law or a name is unknown, or parts is not from 1 to 64.
+      TypeError: parts is no whole number.
     """
 
     law: Law = "full"
@@ -117,8 +120,10 @@ class Model:
     free: tuple[str, ...] = ()
     tied: Mapping[str, str] = field(default_factory=dict)
     shared: tuple[str, ...] = BODY
+    parts: int = MuscleLaw.parts
 
     def __post_init__(self) -> None:
+        require_number("Model", "parts", self.parts, at_least=1, at_most=MAX_PARTS, whole=True)
         if self.law not in get_args(Law):
             raise ValueError(f"Model: law = {self.law!r}; expected one of {', '.join(get_args(Law))}")
         for attribute in ("fixed", "free", "tied", "shared"):
@@ -156,7 +161,12 @@ class Model:
 
 
 def person(
-    body: Subject, law: Law, values: Mapping[str, float], condition: str, effects: Mapping[str, float]
+    body: Subject,
+    law: Law,
+    values: Mapping[str, float],
+    condition: str,
+    effects: Mapping[str, float],
+    parts: int = MuscleLaw.parts,
 ) -> Subject:
     """The person in one trial.
 
@@ -167,6 +177,7 @@ def person(
       condition: of the trial.
       effects: quantity ("k", "b", "kv", "kp") to the logarithm of the trial's own factor on it; that on k is on the
         short-range stiffness too.
+      parts: elasto-plastic parts of each muscle group.
 
     Raises:
       ValueError: the values make no person, as when a damping group is so large that the sum overflows.
@@ -187,7 +198,7 @@ def person(
         } | {name: values[name] for name in COMMON if name in values}
         factor = math.exp(effects.get("k", 0.0))
         law_values["short_range_stiffness"] = tuple(factor * k for k in law_values["short_range_stiffness"])
-        changes["muscle"] = MuscleLaw(**law_values)
+        changes["muscle"] = MuscleLaw(**law_values, parts=parts)
     subject = replace(body, **changes)
     level = values.get(f"level.{condition}", 1.0)
     return subject if level == 1.0 else at_level(subject, level)
@@ -298,4 +309,4 @@ class Parameters:
 
     def person(self, task: str, point: Array, condition: str) -> Subject:
         """The person in a condition, see `person`."""
-        return person(self.bodies[task], self.model.law, self.values(task, point), condition, {})
+        return person(self.bodies[task], self.model.law, self.values(task, point), condition, {}, self.model.parts)

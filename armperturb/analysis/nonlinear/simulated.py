@@ -159,13 +159,13 @@ class SimulatedTrials:
 
     def subjects(self, state: State, trials: Indices | None = None) -> list[Subject]:
         """The person in each of some trials, by default all."""
-        bodies, law = self.parameters.bodies, self.parameters.model.law
+        bodies, model = self.parameters.bodies, self.parameters.model
         values = {task: self.parameters.values(task, state.point) for task in bodies}
         people = []
         for trial in range(self.n_trials) if trials is None else trials.tolist():
             task = self.tasks[trial]
             effects = dict(zip(EFFECTS[task], state.effects[self.effects_of[trial]].tolist(), strict=True))
-            people.append(person(bodies[task], law, values[task], self.conditions[trial], effects))
+            people.append(person(bodies[task], model.law, values[task], self.conditions[trial], effects, model.parts))
         return people
 
     def _responses(

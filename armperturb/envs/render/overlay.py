@@ -26,12 +26,6 @@ def text_size(height: int) -> int:
     return max(8, round(height / 30))
 
 
-def nice_force(largest: float) -> float:
-    """The largest of 1, 2, 5, 10, 20, ... that is not above a force [N]."""
-    power = 10.0 ** np.floor(np.log10(largest))
-    return float(power * max(step for step in (1, 2, 5) if step * power <= largest * (1 + 1e-9)))
-
-
 def label_layer(size: tuple[int, int], title: str, force: float, axes: Array) -> Image.Image:
     """The labels of one picture that stay, on a transparent ground.
 

@@ -13,10 +13,11 @@ from PIL import Image
 from armperturb.arrays import Array
 from armperturb.envs.render.camera import TRAIL, Camera, force_arrows, simplify
 from armperturb.envs.render.clip import VIEWS, Clip
-from armperturb.envs.render.overlay import StripChart, draw_clock, label_layer, nice_force, text_size
+from armperturb.envs.render.overlay import StripChart, draw_clock, label_layer, text_size
 from armperturb.envs.render.replay import Replay
 from armperturb.extras import naming_the_extra
 from armperturb.files import written_whole
+from armperturb.plots.style import round_number_below
 
 Picture = NDArray[np.uint8]
 
@@ -98,13 +99,13 @@ def scale_axes(camera: Camera, view: str, scale: float) -> tuple[float, Array]:
       view: "oblique" or "top".
       scale: length per force of the arrows [m/N].
     """
-    force = nice_force(LONGEST_SCALE / scale)
+    force = round_number_below(LONGEST_SCALE / scale)
     while True:
         along = camera.handle() + scale * force * np.eye(3)[:2]
         axes = camera.project(along, view) - camera.project(camera.handle(), view)
         if np.linalg.norm(axes, axis=1).min() >= SHORTEST_AXIS * text_size(camera.height):
             return force, axes
-        force = nice_force(2.5 * force)  # the next one
+        force = round_number_below(2.5 * force)  # the next one
 
 
 def arrow_scale(camera: Camera, views: tuple[str, ...], shown: Replay) -> float:

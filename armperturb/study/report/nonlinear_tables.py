@@ -88,7 +88,7 @@ def nonlinear_parameter_rows(study: StudyResult) -> list[Row]:
                     "lower_95": fit.lower[name],
                     "upper_95": fit.upper[name],
                     "ratio": value / true,
-                    "at_bound": str(name in fit.at_bound).lower(),
+                    "at_bound": name in fit.at_bound,
                 }
             )
     return rows
@@ -116,7 +116,7 @@ def nonlinear_summary_rows(of_parameters: list[Row]) -> list[Row]:
                 "median_abs_error_percent": 100.0 * (known - 1.0).abs().median(),
                 "coverage_95_percent": coverage_percent(mine),
                 "median_width_percent": 50.0 * width.median(),
-                "at_bound": int((mine["at_bound"] == "true").sum()),
+                "at_bound": int(mine["at_bound"].sum()),
             }
         )
     return rows
@@ -175,7 +175,7 @@ def nonlinear_fit_rows(study: StudyResult) -> list[Row]:
             "task": fit.task,
             "subject": fit.name,
             "fitted_pulses_deg": " ".join(f"{deg:g}" for deg in fit.fitted_deg),
-            "converged": str(fit.converged).lower(),
+            "converged": fit.converged,
             "status": fit.status or fit.failed,
             "parameters": len(fit.values),
             "at_bound": " ".join(fit.at_bound),

@@ -50,7 +50,7 @@ def parameter_rows(study: StudyResult) -> list[Row]:
                     "lower_95": interval.lower,
                     "upper_95": interval.upper,
                     "error_percent": 100.0 * (estimate / truth - 1.0),
-                    "at_bound": str(name in fit.at_bound).lower(),
+                    "at_bound": name in fit.at_bound,
                     "thesis_estimated": of_thesis,
                     "thesis_sem": thesis.standard_error[name] if thesis else math.nan,
                     "thesis_error_percent": 100.0 * (of_thesis / truth - 1.0),

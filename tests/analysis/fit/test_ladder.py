@@ -14,6 +14,7 @@ from armperturb.analysis.fit.ladder import left_out_loss
 from armperturb.analysis.fit.maximum_likelihood import sketch
 from armperturb.analysis.fit.own_structures import composed
 from armperturb.analysis.fit.trial_effects import TrialScore
+from armperturb.convert.importer import import_recording
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
@@ -44,6 +45,32 @@ def test_right_structure_is_chosen_and_its_parameters_are_right(grip, reflex):
 def test_a_wrong_structure_is_said_to_be_wrong():
     _, recording = recorded(6, kind="multisine", grip="spring", reflex="position")
     assert any("the disturbance explains more" in remark for remark in identify(recording, "1").fit.remarks)
+
+
+@pytest.fixture(scope="module")
+def example():
+    """A linear person who keeps position, with all noise: two trials, so that their spectra tell little."""
+    return import_recording([Path(__file__).parents[3] / "examples/data/position.csv"]).recording
+
+
+@pytest.mark.filterwarnings("ignore:as many averages as inputs")
+@pytest.mark.slow(reason="fits several structures")
+def test_a_search_that_ends_at_a_delay_far_too_long_is_begun_again(example):
+    """From the spectra of this recording, searches lead to delays of 0.1 s."""
+    fit = identify(example).fit
+    assert fit.choice.chosen.reflex == "position"
+    assert not fit.detail.is_suspicious
+    assert 0.02 < fit.values["Td_s"] < 0.045
+    objective = {rung[:3]: rung.sketch.objective for rung in fit.choice.rungs}
+    assert objective["free", "spring", "position"] < objective["free", "spring", "velocity"]
+
+
+@pytest.mark.filterwarnings("ignore:as many averages as inputs")
+@pytest.mark.slow(reason="searches from several starts")
+def test_a_structure_is_found_where_its_usual_starts_lead_astray(example):
+    fit = identify(example, composed(inertia="free", grip="spring", reflex="position")).fit
+    assert not fit.detail.is_suspicious
+    assert 0.02 < fit.values["Td_s"] < 0.045
 
 
 def test_loss_on_left_out_trials_is_that_of_leaving_them_out():

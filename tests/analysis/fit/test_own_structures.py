@@ -19,7 +19,7 @@ from armperturb.analysis.fit.own_structures import (
     save_structure,
     with_options,
 )
-from armperturb.analysis.fit.structures import STRUCTURES, Structure, wide_bounds
+from armperturb.analysis.fit.structures import STRUCTURES, Structure, is_published, wide_bounds
 from armperturb.anthropometry import anthropometric_body
 from armperturb.environment import Environment
 from armperturb.subject import POSITION, RELAX
@@ -106,6 +106,15 @@ def test_a_saved_structure_is_read_back_whole(tmp_path, structure):
     again = load_structure(tmp_path / "saved.toml")
     assert_alike(again, known)
     assert again.name == known.name
+
+
+def test_a_structure_is_published_for_what_it_says_whatever_it_is_called(tmp_path):
+    assert all(is_published(structure) and is_published(structure.widened()) for structure in STRUCTURES.values())
+    assert is_published(STRUCTURES["3b"].named("mine"))
+    (tmp_path / "3b.toml").write_text('base = "3b"\n[fixed]\nTd_s = 0.04\n')
+    changed = load_structure(tmp_path / "3b.toml")
+    assert changed.name == "3b"
+    assert not is_published(changed)
 
 
 @pytest.mark.parametrize("structure", STRUCTURES.values(), ids=lambda structure: structure.name)

@@ -219,6 +219,16 @@ def test_a_straight_arm_is_refused(elbow):
         endpoint_impedance(POSITION, NOTHING, posture_deg=(20.0, elbow))
 
 
+def test_inertia_at_a_right_angle_does_not_tell_that_of_other_postures():
+    arm = replace(POSITION, theta_e_deg=90.0, m_h=0.0, m_f=0.0, i_s=0.4, i_se=0.1, i_e=0.1)
+    assert endpoint_impedance(arm, NOTHING, posture_deg=(30.0, 90.0))["inertia"].area > 0.0
+    with pytest.raises(ValueError, match=r"theta_e_deg = 60.0; expected the recorded 90 deg"):
+        endpoint_impedance(arm, NOTHING, posture_deg=(30.0, 60.0))
+    assert (
+        endpoint_impedance(replace(POSITION, theta_e_deg=90.0), NOTHING, posture_deg=(30.0, 60.0))["inertia"].area > 0
+    )
+
+
 @pytest.mark.parametrize("force", [(1.0,), (1.0, np.nan), 3.0])
 def test_a_force_that_is_none_is_refused(force):
     with pytest.raises(ValueError, match="expected two finite numbers"):

@@ -112,6 +112,15 @@ def test_effects_of_a_trial_multiply_groups_and_short_range_stiffness():
     assert moved.muscle == plain.muscle.scaled(1.2)
 
 
+def test_elastic_limits_are_divided_as_finely_as_is_asked_for():
+    model = Model(parts=32)
+    of_model = parameters(model, "RT")
+    point = [coordinate(name, true_values(draw_person(0, 0).subjects["RT"], {})[name]) for name in of_model.names]
+    assert of_model.person("RT", np.array(point), "RT7.5").muscle.parts == 32
+    with pytest.raises(ValueError, match="parts = 65"):
+        Model(parts=65)
+
+
 def test_what_is_fixed_at_a_point_has_its_values_there():
     of_model = parameters(Model(), "RT")
     point = 0.5 * (of_model.lower + of_model.upper)

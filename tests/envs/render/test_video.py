@@ -18,7 +18,7 @@ from armperturb import cli
 from armperturb.analysis.measures.kinematics import hand_position
 from armperturb.envs.render import gl, video, viewer
 from armperturb.envs.render.camera import DISTURBANCE, REACTION, Camera
-from armperturb.envs.render.overlay import StripChart, clock_text, nice_force
+from armperturb.envs.render.overlay import StripChart, clock_text
 from armperturb.envs.render.replay import Replay
 from armperturb.envs.render.video import Clip, arrow_scale, frame_times, frames, scale_axes, write_video
 from armperturb.plots import style
@@ -275,10 +275,11 @@ def test_strip_chart_moves_its_line_and_pales_what_is_to_come(replay):
 
 
 @pytest.mark.parametrize(
-    ("largest", "expected"), [(54.0, 50.0), (19.9, 10.0), (20.0, 20.0), (0.3, 0.2), (1.0, 1.0), (999.0, 500.0)]
+    ("largest", "expected"),
+    [(54.0, 50.0), (19.9, 10.0), (20.0, 20.0), (0.3, 0.2), (1.0, 1.0), (999.0, 500.0), (999.9999999999999, 1000.0)],
 )
 def test_forces_of_the_scale_are_round(largest, expected):
-    assert nice_force(largest) == pytest.approx(expected)
+    assert style.round_number_below(largest) == pytest.approx(expected)
 
 
 def test_colours_are_those_of_the_figures():

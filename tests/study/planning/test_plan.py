@@ -328,6 +328,8 @@ def test_draw_multisine_refuses_and_repeats():
             draw_multisine(*bad, seed=0, duration=1.0)
     with pytest.raises(ValueError, match="duration"):
         draw_multisine(lines, power, seed=0, duration=0.0)
+    with pytest.raises(ValueError, match="n_period = 8192"):
+        draw_multisine(lines, power, seed=0, duration=1.0, n_period=8192)
 
 
 @pytest.mark.parametrize(
