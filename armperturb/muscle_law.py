@@ -1,4 +1,4 @@
-"""How muscle departs from a linear spring, damper and reflex: the parameters of `controllers.muscle` and their ranges.
+"""How muscle departs from a linear spring, damper and reflex: its parameters and their ranges.
 
 Equations, symbols and literature: docs/muscle.md.
 """

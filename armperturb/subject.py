@@ -51,7 +51,7 @@ class Subject(PersonInFile):
       ka_s: acceleration feedback gain, shoulder [Nms^2/rad].
       ka_se: acceleration feedback gain, two-joint [Nms^2/rad].
       ka_e: acceleration feedback gain, elbow [Nms^2/rad].
-      kf_s: force feedback gain, shoulder [-]; negative inhibits, as tendon organs do (see `analysis.arm_model`).
+      kf_s: force feedback gain, shoulder [-]; negative inhibits, as tendon organs do (see `analysis.arm`).
       kf_se: force feedback gain, two-joint [-].
       kf_e: force feedback gain, elbow [-].
       Td_s: neural delay of the torque at the shoulder [s].

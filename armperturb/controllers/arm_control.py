@@ -65,7 +65,7 @@ class ArmControl:
         return held, sent
 
     def set_strength(self, trials: Indices, strength: Strength) -> None:
-        """Change muscles and reflexes of some trials; their springs and dampers are the model's, see `envs.simulation`.
+        """Change muscles and reflexes of some trials; springs and dampers are the model's, see `envs.lab.simulation`.
 
         Bonds that come in are unstrained, and bonds that go take their torque along: neither gives energy.
 

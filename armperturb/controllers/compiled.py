@@ -1,8 +1,8 @@
 """One step of muscle law and reflexes of one arm, compiled: the one form in which all simulations have them.
 
 The linear part of the muscles, and the short-range stiffness as it is before it yields, are springs and dampers of the
-model: what is held over a step is only what yielding takes from them. Functions take a row of `lanes.control_table` and
-a row of its memory, which they change. docs/muscle.md has the equations, symbols and literature of the muscle law.
+model: what is held over a step is only what yielding takes from them. Functions take a row of `lanes.control_columns`
+and a row of its memory, which they change. docs/muscle.md has the equations, symbols and literature of the muscle law.
 """
 
 import math
@@ -15,7 +15,7 @@ from armperturb.arrays import Array
 from armperturb.controllers.lanes import Table
 
 Lane = Any
-"""A row of `lanes.control_table`: compiled code knows its fields, type checkers do not."""
+"""A row of `lanes.control_columns`: compiled code knows its fields, type checkers do not."""
 
 Memory = Any
 """A row of `lanes.control_memory`, likewise."""

@@ -227,15 +227,16 @@ def parts_by_condition(recordings: xr.Dataset | Sequence[xr.Dataset]) -> dict[st
       recordings: trials of one person, of any lengths.
 
     Raises:
-      ValueError: as `trials_by_condition`, of all recordings together.
+      TypeError: recordings are something else.
+      ValueError: there is none, or as `trials_by_condition`, of all recordings together.
     """
-    several = [recordings] if isinstance(recordings, xr.Dataset) else list(recordings)
+    several = [part.recording for part in prepared_recordings(recordings, one_rate=False)]
     people = list(dict.fromkeys(str(name) for each in several for name in each["subject"].values))
     if len(people) > 1:
         raise ValueError(f"recording: subject = {', '.join(people)}; expected one person")
     parts: dict[str, dict[tuple[float, int], list[xr.Dataset]]] = {}
     for each in several:
-        for label, trials in trials_by_condition(each).items():
+        for label, trials in trials_by_condition(each, is_checked=True).items():
             clock = trials.rate, trials.n_samples
             parts.setdefault(label, {}).setdefault(clock, []).append(trials.recording)
     return {
@@ -279,7 +280,7 @@ def _n_segments(trials: ConditionTrials, top: float) -> int:
 
 
 def _record_signals(trials: ConditionTrials) -> Signals:
-    """Whole records up to the first pulse, at no more than about `MODEL_RATE`."""
+    """Whole records up to the first pulse, at about `MODEL_RATE` where they are sampled faster."""
     window = RecordWindow.of(trials)
     if window.factor == 1:
         return _signals(trials, slice(window.end))

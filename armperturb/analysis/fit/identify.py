@@ -27,11 +27,11 @@ from armperturb.analysis.measures.vaf import prediction_vaf
 from armperturb.analysis.response.condition_spectra import condition_spectra
 from armperturb.analysis.response.spectra import SpectralEstimate
 from armperturb.analysis.results import Description, Result, Table, parameter_table, plain
-from armperturb.analysis.trials import ConditionTrials, SeveralTrials, prepared_recordings
+from armperturb.analysis.trials import ConditionTrials, SeveralTrials, prepared_condition, prepared_recordings
 from armperturb.arrays import Array
 from armperturb.environment import Environment
 from armperturb.subject import Subject
-from armperturb.validation import require_one_of
+from armperturb.validation import require_number, require_one_of, require_whole
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -218,11 +218,13 @@ def identify(
       emg: EMG that tells of reflexes as well; with maximum likelihood only. The structure is chosen without it.
 
     Raises:
-      ValueError: the recording is refused, holds several subjects, conditions or postures, or gives no spectra.
+      TypeError: trials are no `Dataset`, or an option is no number.
+      ValueError: the recording is refused, holds several subjects, conditions or postures, or gives no spectra; or an
+        option is out of its range.
     """
-    parts = tuple(prepared_recordings(trials))
+    parts = tuple(prepared_condition(trials))
     for part in parts:
-        part.body  # noqa: B018  (refuses several conditions)
+        part.body  # noqa: B018  (refuses an unknown posture)
     return identify_conditions(
         {parts[0].label: parts},
         model,
@@ -266,9 +268,12 @@ def identify_conditions(
       there are pulses alone, are left out if there are others.
 
     Raises:
+      TypeError: as `identify`.
       ValueError: as `identify`; or the thesis's estimator is to share parameters, but fits each trial alone.
     """
     require_one_of("identify", "estimator", estimator, get_args(Estimator))
+    require_number("identify", "window_start", window_start, at_least=0.0)
+    require_whole("identify", "lines_per_average", lines_per_average, at_least=1)
     if model is None and (share or estimator == "thesis"):
         field = f"share = {', '.join(share)}" if share else "estimator = 'thesis'"
         raise ValueError(f"identify: {field} without a model; expected one, e.g. --model 3")
@@ -280,7 +285,10 @@ def identify_conditions(
             f"identify: share = {', '.join(share)}; expected nothing with estimator = 'thesis', which fits each trial "
             "alone (--estimator record shares)"
         )
-    conditions = parts_by_condition(trials) if isinstance(trials, (xr.Dataset, Sequence)) else trials
+    if isinstance(trials, Mapping) and not isinstance(trials, xr.Dataset):
+        conditions = {label: tuple(prepared_recordings(parts)) for label, parts in trials.items()}
+    else:
+        conditions = parts_by_condition(trials)
     perturbed = {
         label: parts for label, parts in conditions.items() if all(part.is_perturbed(window_start) for part in parts)
     }

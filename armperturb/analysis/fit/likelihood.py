@@ -1,8 +1,8 @@
 """How likely trials are under an arm model: in the frequency domain over one period, or over the whole record.
 
-In both, x = P(theta) d + v, where x is the displacement that encoders and gauge together tell (`displacement`), d the
-known disturbance, and v what the person and the instruments add: noise of an unknown, smooth spectrum, the same in all
-trials of a condition (`whittle`). That spectrum has the arm's own resonance, and what smooths it must not: so it is the
+In both, x = P(theta) d + v, where x is the displacement that encoders and gauge together tell (see
+`Balance.displacement`), d the known disturbance, and v what the person and the instruments add: noise of an unknown,
+smooth spectrum, the same in all trials of a condition (`whittle`). That spectrum has the arm's own resonance, and what smooths it must not: so it is the
 spectrum of the hand force u = P^-1 v that would move the handle like that which is smoothed.
 
 A finite record lets the strong low frequencies leak into the weak high ones. Both likelihoods therefore filter x and
@@ -102,8 +102,8 @@ def judged_part(n: int, rate: float, *, from_rest: bool) -> tuple[slice, Array]:
 class Likelihood(Whittle):
     """Likelihood of the displacement in the trials of one condition; subclasses say how an arm answers the disturbance.
 
-    Values are the parameters of an arm in the order of `arm_model.PARAMETERS`, (parameter,), or those of each trial's
-    arm, (trial, parameter).
+    Values are the parameters of an arm in the order of `arm.parameters.PARAMETERS`, (parameter,), or those of each
+    trial's arm, (trial, parameter).
 
     Args:
       signals: of the trials.

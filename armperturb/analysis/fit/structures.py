@@ -39,7 +39,7 @@ def wide_bounds(parameter: str) -> tuple[float, float, float] | None:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Structure:
-    """One arm model structure: what each parameter of an arm (`arm_model.PARAMETERS`) is in a fit.
+    """One arm model structure: what each parameter of an arm (`arm.parameters.PARAMETERS`) is in a fit.
 
     A parameter is free (has bounds and an initial value), tied to free ones, or fixed; one that is none of these has
     the value that a `Subject` has by default: no feedback, a delay of 30 ms, a cut-off of 3.5 Hz. Others are derived
@@ -173,7 +173,7 @@ class Structure:
         return tuple(self.bounds)
 
     def constant(self, task: str) -> Array:
-        """Parameters of an arm whose free parameters are zero, in the order of `arm_model.PARAMETERS`, SI.
+        """Parameters of an arm whose free parameters are zero, in the order of `arm.parameters.PARAMETERS`, SI.
 
         Args:
           task: "PT" or "RT", for the fixed values.
@@ -181,7 +181,7 @@ class Structure:
         return self._constant[task]
 
     def parameters(self, task: str, values: ArrayLike) -> Array:
-        """All parameters of an arm, in the order of `arm_model.PARAMETERS`, SI.
+        """All parameters of an arm, in the order of `arm.parameters.PARAMETERS`, SI.
 
         Args:
           task: "PT" or "RT", for the fixed values.

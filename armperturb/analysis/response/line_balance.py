@@ -1,7 +1,7 @@
 """The force balance of the environment at the lines of a spectrum: force and displacement as all instruments tell them.
 
 What is moved by d - f obeys d - f = E^-1 x, with E^-1 = m s^2 + b s + k, and the person has no part in that. What the
-recorded signals leave of it is the noise of the instruments (`displacement`),
+recorded signals leave of it is the noise of the instruments (see `Balance.displacement`),
 
     N = D - F - E^-1 X,    white noise s_f of F, white noise s_x of X.
 

@@ -61,7 +61,7 @@ class Window(NamedTuple):
 
 
 class LocalFit(NamedTuple):
-    """ComplexArray from d to f and x at one frequency.
+    """Response from d to f and x at one frequency.
 
     Attributes:
       frequency: [Hz].

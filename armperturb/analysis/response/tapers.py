@@ -104,7 +104,7 @@ def _estimate(
     window_start: float = 0.0,
     frequency: ArrayLike | None = None,
 ) -> FrequencyResponse:
-    """ComplexArray from pieces of records, tapers of each piece, and how many independent spectra that is worth."""
+    """Response from pieces of records, tapers of each piece, and how many independent spectra that is worth."""
     records = records_of(prepared_recordings(recordings), window_start)
     rate = records[0].rate
     wanted = excited_band(records) if frequency is None else require_frequencies(frequency, rate)

@@ -30,7 +30,7 @@ def elastic_rows(cells: Mapping[Cell, float]) -> list[Row]:
 
     Args:
       cells: of the published tables to values [rad, rad/s], means over people or those of one person, as
-        `cells.measured_cells` gives; others do not count.
+        `quantities.measured_cells` gives; others do not count.
 
     Returns:
       Columns: condition; perturbation, "multisine", or "pulse, min" or "pulse, max" by its level; quantity, "rms",

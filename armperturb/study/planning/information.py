@@ -10,8 +10,8 @@ average over their phases, which are independent. The noise v is that of the per
 
     Phi = G S G^H + 1 / (1 / s_x + |E^-1|^2 / s_f),    G = P H^-1 J Z^-1,
 
-with the torque spectrum S of the person, and s_x and s_f of encoders and gauge, which are averaged as `displacement`
-averages them. S rises with the RMS torque that the perturbation puts on the joints (the demand).
+with the torque spectrum S of the person, and s_x and s_f of encoders and gauge, which are averaged as
+`Balance.displacement` averages them. S rises with the RMS torque that the perturbation puts on the joints (the demand).
 
 With the noise held, information is linear in the powers. The criterion is the mean logarithm of the standard errors of
 some parameters, all others being unknown too. Each is -log(1 / (I^-1)_ii) / 2; 1 / (I^-1)_ii, a Schur complement, is

@@ -86,7 +86,7 @@ class Design(Result):
       optimised: the best multisine within the limits.
       proposed: the proposed perturbation, played in every trial, if there is one.
       perturbations: realisations of the optimised one, one per trial.
-      excess: bound of how far the optimum is from the best, see `analysis.design.Optimum` [-].
+      excess: bound of how far the optimum is from the best, see `information.Optimum` [-].
     """
 
     settings: DesignSettings

@@ -72,29 +72,25 @@ def practise(
     people: Sequence[Person],
     protocol: Protocol,
     seed: int,
-    environment: Environment | None = None,
     n_threads: int = 0,
     *,
     noisy: bool = False,
     timestep: float = TIMESTEP,
-    progress: Callable[[float], object] | None = None,
 ) -> tuple[dict[str, float], ...]:
     """Forces for every person: each condition's force is adjusted until the handle moves as far as intended.
 
     That is the protocol's displacement times what people reach of it (`Condition.reached`). All people and conditions
     are simulated together, round after round, each until its displacement is reached. With `forces = "published"`
-    nobody practises. A person's forces depend on the person, the protocol and the seed, not on
-    who else is there.
+    nobody practises. A person's forces depend on the person, the protocol, the seed and the time
+    step, not on who else is there.
 
     Args:
       people: who practises.
       protocol: whose conditions.
       seed: of the study.
-      environment: what the hand holds; the thesis's manipulator if not given.
       n_threads: of the simulation; 0 takes all cores.
       noisy: whether people are noisy while they practise, in the same way in every round.
       timestep: of the simulation [s].
-      progress: called with the simulated seconds (all trials together) since the last call.
 
     Returns:
       Per person: name of each condition with a multisine to its RMS force per axis [N], and "pulse_unit" to the peak
@@ -106,7 +102,6 @@ def practise(
     """
     if protocol.forces == "published":
         return tuple(protocol.given_forces() for _ in people)
-    environment = environment or Environment()
     # The same subject who is to move as far needs the same force: such goals are measured once.
     conditions = [condition for condition in protocol.conditions if condition.has_multisine]
     goals_of = [{each.name: _Goal.of(person, each, seed) for each in conditions} for person in people]
@@ -115,14 +110,13 @@ def practise(
     if goals:
         simulate = partial(
             measured_displacement,
-            environment=environment,
+            environment=Environment(),
             strap=protocol.strap,
             engine="mujoco" if protocol.strap else "compiled",
             timestep=timestep,
             n_threads=n_threads,
-            progress=progress,
         )
-        adjusted = _reach(goals, seed, environment, noisy, simulate)
+        adjusted = _reach(goals, seed, noisy, simulate)
         force_of = dict(zip(goals, adjusted.force.tolist(), strict=True))
     forces = []
     for goal_of in goals_of:
@@ -151,16 +145,14 @@ class _Goal:
         return cls(condition.subject_of(person), share * condition.rms_displacement, condition.name)
 
 
-def _reach(
-    goals: Sequence[_Goal], seed: int, environment: Environment, noisy: bool, simulate: Callable[[list[Trial]], Array]
-) -> Adjustment:
+def _reach(goals: Sequence[_Goal], seed: int, noisy: bool, simulate: Callable[[list[Trial]], Array]) -> Adjustment:
     """The force of each goal.
 
     Raises:
       RuntimeError: a goal was not reached.
     """
     multisine = practice_multisine(seed)
-    per_newton = [linear_displacement(goal.subject, environment, multisine) for goal in goals]
+    per_newton = [linear_displacement(goal.subject, Environment(), multisine) for goal in goals]
     targets = np.array([goal.displacement for goal in goals])
 
     def measure(numbers: NDArray[np.int_], force: Array) -> Array:

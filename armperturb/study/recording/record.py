@@ -248,7 +248,8 @@ def practised_trials(
       multisines: from `draw_multisines`.
       n_threads: of the simulation; 0 takes all cores.
     """
-    forces = practise([person for _, person in people], protocol, settings.seed, n_threads=n_threads)
+    everyone = [person for _, person in people]
+    forces = practise(everyone, protocol, settings.seed, n_threads=n_threads, timestep=settings.timestep)
     return [
         protocol.trials(person, force, settings.seed, number, noisy=not settings.ideal, multisines=multisines)
         for (number, person), force in zip(people, forces, strict=True)
