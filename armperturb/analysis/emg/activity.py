@@ -227,7 +227,9 @@ def holm(p: Array) -> Array:
 
 
 def relaxation_sentence(people: Iterable[Activity], conditions: Iterable[str], task: str = "relax task") -> str:
-    """One sentence on whether people relaxed, with its figures.
+    """One sentence on whether people were found active where they were to relax, with its figures.
+
+    That nobody was does not tell that everybody relaxed: it tells what the test did not find.
 
     Args:
       people: activity of each person.
@@ -243,10 +245,9 @@ def relaxation_sentence(people: Iterable[Activity], conditions: Iterable[str], t
         for person in known
         if any(person.active_muscles(name) for name in wanted)
     }
-    limit = f"{100.0 * known[0].limit:g} {known[0].unit}"
-    if not active and len(known) == 1:
-        return f"In the {task}, all muscles of {known[0].subject} stayed below {limit}."
+    tested = f"above {100.0 * known[0].limit:g} {known[0].unit}, p < {SIGNIFICANT:g}"
     if not active:
-        return f"In the {task}, all muscles of all {len(known)} people stayed below {limit}: they relaxed."
+        whom = known[0].subject if len(known) == 1 else f"any of the {len(known)} people"
+        return f"In the {task}, no muscle of {whom} was found active ({tested})."
     named = "; ".join(f"{name} in {', '.join(where)}" for name, where in active.items())
-    return f"In the {task}, {len(active)} of {len(known)} people did not relax (a muscle above {limit}): {named}."
+    return f"In the {task}, {len(active)} of {len(known)} people did not relax (a muscle {tested}): {named}."

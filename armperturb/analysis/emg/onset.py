@@ -27,7 +27,7 @@ from scipy import stats
 
 from armperturb.analysis.emg.envelope import Envelopes, mean_known
 from armperturb.analysis.emg.onset_fit import LATENCIES, N_GAINS, Fits, MusclePower, Stretch
-from armperturb.analysis.emg.reflex import rotation
+from armperturb.analysis.emg.reflex import rotation, rows_of
 from armperturb.analysis.results import Description, Result, Table
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array, Indices
@@ -52,6 +52,9 @@ OVERLAP = 2.0
 
 SIGNIFICANT = 1e-6
 """Level of the test whether a muscle answers at all [-]: of tens of tests, each at the best of tens of latencies."""
+
+EARLIEST = 0.05 + float(LATENCIES[-1]) - WINDOW[0]
+"""Time of a trial from which on a pulse is used: what comes before its window tells the posture [s]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -125,17 +128,19 @@ def onsets(trials: Sequence[ConditionTrials], envelopes: Envelopes) -> Onsets:
       envelopes: of all the person's trials.
 
     Raises:
-      ValueError: no trial has a pulse, or neither joint angles nor the posture are known.
+      ValueError: no trial has a pulse at `EARLIEST` or later, the envelopes hold other trials of a condition, or
+        neither joint angles nor the posture are known.
     """
     rate, names = envelopes.rate, list(envelopes.muscles)
     power, moved, starts, directions = [], [], [], []
+    latest = -math.inf
     for part in trials:
-        rows = np.flatnonzero((envelopes.labels["condition"] == part.label).to_numpy())
         turned = rotation(part)
-        for place, row in enumerate(rows):
+        for place, row in enumerate(rows_of(part, envelopes)):
             row_labels = envelopes.labels.iloc[row]
             onset = float(row_labels["pulse_onset"])
-            if not np.isfinite(onset) or onset + WINDOW[0] - LATENCIES[-1] < 0.05:
+            latest = max(latest, onset)  # of no pulse, a NaN, the first stays
+            if not onset >= EARLIEST:
                 continue
             power.append(envelopes.power[row])
             # Reflexes act about the posture that is held.
@@ -143,10 +148,13 @@ def onsets(trials: Sequence[ConditionTrials], envelopes: Envelopes) -> Onsets:
             starts.append(onset)
             directions.append(float(row_labels["pulse_direction"]))
     if not power:
-        raise ValueError(
-            f"onsets: no trial of {', '.join(part.label for part in trials)} has a pulse; expected some "
-            "(labels.pulse_onset of the sidecar)"
-        )
+        which = ", ".join(part.label for part in trials)
+        if math.isfinite(latest):
+            raise ValueError(
+                f"onsets: the latest pulse of {which} comes after {latest:.3g} s; expected some after {EARLIEST:.3g} s "
+                "or more"
+            )
+        raise ValueError(f"onsets: no trial of {which} has a pulse; expected some (labels.pulse_onset of the sidecar)")
     of_direction = np.unique(directions)
     table, averages, errors = [], [], []
     for direction in of_direction:

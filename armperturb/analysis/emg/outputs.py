@@ -70,12 +70,7 @@ def reflex_outputs(trials: ConditionTrials, envelopes: Envelopes) -> ReflexOutpu
       ValueError: the envelopes hold other trials of the condition, or of no muscle is it known what it does.
     """
     require_known_muscles(envelopes)
-    rows = np.flatnonzero((envelopes.labels["condition"] == trials.label).to_numpy())
-    if len(rows) != trials.n_trials:
-        raise ValueError(
-            f"EMG is not used: it has {len(rows)} trials of {trials.label}, the other signals {trials.n_trials}; "
-            "expected the same trials"
-        )
+    rows = envelopes.rows(trials.label, trials.n_trials)
     window = RecordWindow.of(trials)
     amplitude = np.nan_to_num(envelopes.amplitudes(rows))
     groups, differences = [], []

@@ -10,6 +10,7 @@ those of the linear response nearest to it, half of those to lengthening, and wh
 moves no arm, so that rotation may be any, and no disturbance is needed to tell. Parameters are maximum
 likelihood estimates from the tapered spectra (Whittle 1953, Ark. Mat. 2), as of flat noise; standard errors are the
 larger of those of flat noise and of those that hold for any (Liang & Zeger 1986, Biometrika 73, by bands and trials).
+The p of no response, in flat noise, is that of the best of all delays (`searched_p`).
 """
 
 import math
@@ -20,14 +21,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 import xarray as xr
-from scipy import fft, optimize, stats
+from scipy import fft, optimize, special, stats
 
 from armperturb.analysis.arm.geometry import hand_jacobian
 from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.emg.envelope import Envelopes, mean_known
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.analysis.trials import ConditionTrials
-from armperturb.arrays import Array, ComplexArray
+from armperturb.arrays import Array, ComplexArray, Indices
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -47,11 +48,19 @@ BIN = 1.0
 BACKGROUND, SHORT, LONG = (-0.1, 0.0), (0.02, 0.05), (0.05, 0.1)
 """Windows about the onset of a pulse: before it, of short and of long latency [s]."""
 
+JOINTS = ("shoulder", "elbow")
+
+RANK = 1e-12
+"""Power of a direction of the design over the largest one below which it counts as none [-]."""
+
 WITH_LIMITS = ("delay_s", "delay_error_s", "lower_95_s", "upper_95_s")
 """Columns of a delay."""
 
 FEWEST_SECONDS = 4.0
 """Time of a trial from which on it tells of reflexes [s]."""
+
+FEWEST_LINES = 4.0
+"""Independent lines, of all trials, from which on a band has a response [-]: four unknowns have eight numbers then."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -64,7 +73,8 @@ class Reflexes(Result):
       unit: of amplitudes.
       responses: one row per muscle: `delay_s`, `delay_error_s` and its 95 % limits `lower_95_s` and `upper_95_s`,
         `delay_by_phase_s`, gains `velocity_s`, `velocity_e` [s/rad] and `position_s`, `position_e` [1/rad] with their
-        errors (`..._error`), `coherence` of amplitude and rotation in the whole band, and `p` of no response.
+        errors (`..._error`), `coherence` of amplitude and rotation in the whole band, and `p` of no response
+        at any delay.
       frequency: centres of bands [Hz], (band,).
       response: H_xa from rotation of shoulder and elbow to amplitude [1/rad], (muscle, joint, band).
       response_error: standard error of its modulus, (muscle, joint, band).
@@ -121,7 +131,7 @@ class Reflexes(Result):
             },
             coords={
                 "muscle": list(self.responses["muscle"]),
-                "joint": ["shoulder", "elbow"],
+                "joint": list(JOINTS),
                 "frequency": ("frequency", self.frequency, {"units": "Hz"}),
             },
         )
@@ -149,9 +159,10 @@ def reflexes(trials: ConditionTrials, envelopes: Envelopes, *, window_start: flo
       window_start: when the transient of the perturbation has died away [s].
 
     Raises:
-      ValueError: no trial is long enough, or neither joint angles nor the posture are known.
+      ValueError: no trial is long enough, or together they are too short; a joint does not turn; the envelopes hold
+        other trials of the condition; or neither joint angles nor the posture are known.
     """
-    rows = np.flatnonzero((envelopes.labels["condition"] == trials.label).to_numpy())
+    rows = rows_of(trials, envelopes)
     angles, rate, names = rotation(trials), envelopes.rate, list(envelopes.muscles)
     first = round(window_start * rate)
     ends = [min(int(onset), angles.shape[1]) for onset in trials.onset]
@@ -164,18 +175,29 @@ def reflexes(trials: ConditionTrials, envelopes: Envelopes, *, window_start: flo
     length = min(ends[k] for k in used) - first
     frequency = fft.rfftfreq(length, 1.0 / rate)
     inside = (frequency >= BAND[0]) & (frequency < BAND[1])
+    f, taper = frequency[inside], np.hanning(length)[None, :, None]
+    # Neighbouring lines of a tapered spectrum share what they tell.
+    shared = float(np.sum(taper**4) * length / np.sum(taper**2) ** 2)
+    n_lines = len(used) * np.bincount(_bands(f)).max() / shared
+    if n_lines < FEWEST_LINES:
+        raise ValueError(
+            f"reflexes: trials of {trials.label} ({len(used)} x {length / rate:g} s before the pulse) have "
+            f"{n_lines:.1f} independent lines in {BIN:g} Hz; expected {FEWEST_LINES:g} (more or longer trials, or an "
+            "earlier --window-start)"
+        )
     amplitude = envelopes.amplitudes(rows)
-    taper = np.hanning(length)[None, :, None]
 
     def spectrum(values: Array) -> ComplexArray:
         part = values[used, first : first + length]
         part = part - part.mean(axis=1, keepdims=True)
         return np.asarray(fft.rfft(part * taper, axis=1)[:, inside].swapaxes(1, 2))  # (trial, signal, frequency)
 
-    q, a, f = spectrum(angles), spectrum(np.nan_to_num(amplitude)), frequency[inside]
-    a = a / np.sinc(f * envelopes.averaging)
-    # Neighbouring lines of a tapered spectrum share what they tell.
-    shared = float(np.sum(taper**4) * length / np.sum(taper**2) ** 2)
+    q, a = spectrum(angles), spectrum(np.nan_to_num(amplitude)) / np.sinc(f * envelopes.averaging)
+    turns = np.ptp(angles[used, first : first + length], axis=1)  # (trial, joint)
+    if still := [name for name, extent in zip(JOINTS, turns.T, strict=True) if not extent.any()]:
+        raise ValueError(
+            f"reflexes: no rotation of {' and '.join(still)} in trials of {trials.label}; expected that of both joints"
+        )
     fits = [_fit(q, a[:, column], f, shared) for column in range(len(names))]
     response, error, coherence, centre = _response(q, a, f, shared)
     table = pd.DataFrame([{"muscle": name, **fit} for name, fit in zip(names, fits, strict=True)])
@@ -193,6 +215,21 @@ def reflexes(trials: ConditionTrials, envelopes: Envelopes, *, window_start: flo
         coherence=coherence,
         averages=pulse_averages(envelopes, rows.tolist()),
     )
+
+
+def rows_of(trials: ConditionTrials, envelopes: Envelopes) -> Indices:
+    """Which trials of the envelopes these are, (trial,).
+
+    Args:
+      trials: all of a condition that the envelopes hold, or some that were taken from these.
+      envelopes: of the person.
+
+    Raises:
+      ValueError: the envelopes hold other trials of the condition.
+    """
+    whole = trials.whole or trials
+    rows = envelopes.rows(whole.label, whole.n_trials)
+    return rows if trials.whole is None else rows[trials.numbers]
 
 
 def rotation(trials: ConditionTrials) -> Array:
@@ -248,14 +285,13 @@ def _fit(q: ComplexArray, a: ComplexArray, f: Array, shared: float) -> dict[str,
     of_flat_noise = np.diag(inverse) * variance * shared
     # What rectification and saturation leave is no flat noise: what a band of a trial tells is judged by how much bands
     # and trials differ. Of few, that is too little as often as too much, so that the larger of both errors counts.
-    band = np.floor(f / BIN).astype(int)
+    band = _bands(f)
     places = np.tile((np.arange(len(a))[:, None] * (band[-1] + 1) + band).ravel(), 2)
     scores = np.array([np.bincount(places, column) for column in (everything * (rows - design @ gains)[:, None]).T])
     n_bands = len(np.unique(places))
     of_bands = np.diag(inverse @ (scores @ scores.T) @ inverse) * n_bands / max(n_bands - 5, 1)
     errors = np.sqrt(np.maximum(of_flat_noise, of_bands))
     explained = max(1.0 - remainder / float(np.sum(rows**2)), 0.0)
-    statistic = explained / max(1.0 - explained, 1e-12) * max(n - 5.0, 1.0) / 5.0
     half = stats.t.ppf(0.975, max(n_bands - 5, 1)) * errors[4]
     limits = (delay, float(errors[4]), delay - half, delay + half)
     return {
@@ -263,18 +299,52 @@ def _fit(q: ComplexArray, a: ComplexArray, f: Array, shared: float) -> dict[str,
         **dict(zip(names, gains.tolist(), strict=True)),
         **{f"{name}_error": float(error) for name, error in zip(names, errors[:4], strict=True)},
         "coherence": explained,
-        "p": float(stats.f.sf(statistic, 5, max(n - 5.0, 1.0))),
+        "p": searched_p(explained, n, undelayed, _design(-2j * np.pi * f * q, f, 0.0), DELAYS[1] - DELAYS[0]),
     }
+
+
+def searched_p(explained: float, n: float, design: Array, change: Array, extent: float) -> float:
+    """Probability that noise alone is explained so well at any of many delays, at most.
+
+    Bound of Davies (1987, Biometrika 74) for the largest chi-squared along a line, here for the share of the sum of
+    squares, as its size is unknown: it explains more at the first delay, or comes to do so at a later one. The rate of
+    that is the same at all delays, as they turn the columns of the design and do not change how these go together.
+
+    Args:
+      explained: largest share of the sum of squares that the design explains [-].
+      n: independent numbers.
+      design: at the first delay, (number, column); numbers that depend on one another all do so alike.
+      change: its derivative by the delay, likewise [1/s]; at most two columns outside the span of the design.
+      extent: largest delay less the least one [s].
+    """
+    power, axes = np.linalg.eigh(design.T @ design)
+    is_seen = power > RANK * power[-1]
+    white = axes[:, is_seen] / np.sqrt(power[is_seen])
+    within = design @ white
+    leaving = change @ white
+    leaving = leaving - within @ (within.T @ leaving)
+    *_, lesser, larger = np.maximum(np.linalg.eigvalsh(leaving.T @ leaving), 0.0)
+    # Mean length of a normal vector of two dimensions with these variances.
+    speed = math.sqrt(2.0 * larger / math.pi) * special.ellipe(1.0 - lesser / max(larger, 1e-300))
+    half, rest = 0.5 * is_seen.sum(), 0.5 * (n - is_seen.sum())
+    at_first = stats.beta.sf(explained, half, rest)
+    later = extent * speed * math.sqrt(2.0 / math.pi) / n * stats.beta.pdf(explained, half + 0.5, rest + 0.5)
+    return float(min(at_first + later, 1.0))
+
+
+def _bands(f: Array) -> Indices:
+    """In which band each frequency [Hz] is."""
+    return np.floor(f / BIN).astype(np.intp)
 
 
 def _response(q: ComplexArray, a: ComplexArray, f: Array, shared: float) -> tuple[ComplexArray, Array, Array, Array]:
     """H_xa, the standard error of its modulus, multiple coherence and centres of bands."""
-    places = np.floor(f / BIN).astype(int)
+    places = _bands(f)
     responses, errors, coherences, centres = [], [], [], []
     for place in np.unique(places):
         inputs, outputs = (each[..., places == place].swapaxes(0, 1).reshape(each.shape[1], -1) for each in (q, a))
         n = inputs.shape[1] / shared
-        if n < 4:
+        if n < FEWEST_LINES:
             continue
         power = inputs @ inputs.conj().T
         inverse = np.linalg.inv(power)
@@ -317,7 +387,7 @@ def pulse_averages(envelopes: Envelopes, rows: Iterable[int]) -> pd.DataFrame:
     for direction, of_direction in with_pulse.groupby("pulse_direction", sort=True):
         levels = []
         for trial, row in of_direction.iterrows():
-            onset = row["pulse_onset"] + 0.0
+            onset = row["pulse_onset"]
             windows = []
             for start, end in (BACKGROUND, SHORT, LONG):
                 a, b = (round((onset + t) * rate) for t in (start, end))

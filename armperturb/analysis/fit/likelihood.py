@@ -2,8 +2,9 @@
 
 In both, x = P(theta) d + v, where x is the displacement that encoders and gauge together tell (see
 `Balance.displacement`), d the known disturbance, and v what the person and the instruments add: noise of an unknown,
-smooth spectrum, the same in all trials of a condition (`whittle`). That spectrum has the arm's own resonance, and what smooths it must not: so it is the
-spectrum of the hand force u = P^-1 v that would move the handle like that which is smoothed.
+smooth spectrum, the same in all trials of a condition (`whittle`). That spectrum has the arm's own resonance, and what
+smooths it must not: so it is the spectrum of the hand force u = P^-1 v that would move the handle like that which is
+smoothed.
 
 A finite record lets the strong low frequencies leak into the weak high ones. Both likelihoods therefore filter x and
 P d with the same two zeros, so that what is left is nearly white, before they are transformed.

@@ -24,6 +24,7 @@ class EmgSection:
       pictures: name to a figure.
       conditions: of which there is a figure of the response to rotation.
       has_pulses: whether any trial has a pulse that EMG goes with.
+      left_out: why an answer to rotation or to pulses is not shown, a line each.
     """
 
     sentence: str
@@ -32,6 +33,7 @@ class EmgSection:
     pictures: Mapping[str, Picture]
     conditions: tuple[str, ...]
     has_pulses: bool
+    left_out: tuple[str, ...]
 
 
 def emg_section(envelopes: Envelopes, trials: Mapping[str, Sequence[ConditionTrials]]) -> EmgSection:
@@ -43,8 +45,9 @@ def emg_section(envelopes: Envelopes, trials: Mapping[str, Sequence[ConditionTri
         condition is left out.
     """
     of_muscles = activity(envelopes)
-    responses = _responses(envelopes, trials)
-    of_pulses = _onsets(envelopes, trials)
+    left_out = list[str]()
+    responses = _responses(envelopes, trials, left_out)
+    of_pulses = _onsets(envelopes, trials, left_out)
     labels = envelopes.labels
     relaxed = list(dict.fromkeys(labels["condition"][labels["task"] == "RT"]))
     shown = labels["condition"].isin(list(trials)).to_numpy()
@@ -64,27 +67,33 @@ def emg_section(envelopes: Envelopes, trials: Mapping[str, Sequence[ConditionTri
         pictures=pictures,
         conditions=tuple(responses),
         has_pulses=of_pulses is not None,
+        left_out=tuple(left_out),
     )
 
 
-def _responses(envelopes: Envelopes, trials: Mapping[str, Sequence[ConditionTrials]]) -> dict[str, Reflexes]:
-    """Condition to the response from rotation to EMG, of conditions that are long enough."""
+def _responses(
+    envelopes: Envelopes, trials: Mapping[str, Sequence[ConditionTrials]], left_out: list[str]
+) -> dict[str, Reflexes]:
+    """Condition to the response from rotation to EMG, where there is one; `left_out` gets why of the others."""
     responses = {}
     for label, parts in trials.items():
         if len(parts) == 1:
             try:
                 responses[label] = reflexes(parts[0], envelopes)
-            except ValueError:  # trials that are too short
-                continue
+            except ValueError as error:
+                left_out.append(f"Not shown: {error}")
     return responses
 
 
-def _onsets(envelopes: Envelopes, trials: Mapping[str, Sequence[ConditionTrials]]) -> Onsets | None:
-    """Answers to pulses of all conditions together; None where there are no pulses."""
+def _onsets(
+    envelopes: Envelopes, trials: Mapping[str, Sequence[ConditionTrials]], left_out: list[str]
+) -> Onsets | None:
+    """Answers to pulses of all conditions together; None where there are none, and `left_out` gets why."""
     parts = [each[0] for each in trials.values() if len(each) == 1 and (each[0].onset < each[0].n_samples).any()]
     try:
         return onsets(parts, envelopes) if parts else None
-    except ValueError:  # pulses that come too early
+    except ValueError as error:
+        left_out.append(f"Not shown: {error}")
         return None
 
 

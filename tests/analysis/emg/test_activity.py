@@ -79,8 +79,13 @@ def test_a_result_describes_itself():
 def test_sentence_names_who_did_not_relax():
     relaxed, active = person(0.0)[0], person(0.05)[0]
     limit = "2 % of maximal contraction"
-    assert relaxation_sentence([relaxed], ["RT7.5"]) == (f"In the relax task, all muscles of A stayed below {limit}.")
+    assert relaxation_sentence([relaxed], ["RT7.5"]) == (
+        f"In the relax task, no muscle of A was found active (above {limit}, p < 0.05)."
+    )
+    assert relaxation_sentence([relaxed] * 3, ["RT7.5"]) == (
+        f"In the relax task, no muscle of any of the 3 people was found active (above {limit}, p < 0.05)."
+    )
     assert relaxation_sentence([relaxed, active], ["RT7.5"]) == (
-        f"In the relax task, 1 of 2 people did not relax (a muscle above {limit}): A in RT7.5."
+        f"In the relax task, 1 of 2 people did not relax (a muscle above {limit}, p < 0.05): A in RT7.5."
     )
     assert "no EMG" in relaxation_sentence([], ["RT7.5"])

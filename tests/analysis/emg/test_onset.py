@@ -72,6 +72,22 @@ def test_trials_without_pulses_are_refused():
         onsets([ConditionTrials.prepare(recording)], envelopes(recording))
 
 
+def test_pulses_that_come_too_early_are_not_said_to_be_missing():
+    recording = recorded(noise((2, 2, N)), pulse_onset=[0.1, 0.2], pulse_direction=[20.0] * 2)
+    with pytest.raises(ValueError, match=r"the latest pulse of RT7.5 comes after 0.2 s; expected some after 0.23 s"):
+        onsets([ConditionTrials.prepare(recording)], envelopes(recording))
+
+
+def test_trials_that_were_taken_go_with_their_own_emg():
+    """Of trials with pulses at other times, the later ones alone answer as they do among all."""
+    recording = person(0)
+    taken, amplitudes = ConditionTrials.prepare(recording).take(range(4, N_TRIALS)), envelopes(recording)
+    result = onsets([taken], amplitudes)
+    assert (result.latencies["trials"] == 4).all()
+    latency = result.latencies.set_index("muscle").loc["extensor", "latency_s"]
+    assert latency == pytest.approx(DELAY, abs=5e-3)
+
+
 def test_a_result_describes_and_draws_itself():
     result, _ = answers(person(0))
     assert "Answers of the muscles of A to pulses in RT7.5" in result.summary()

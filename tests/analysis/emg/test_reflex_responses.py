@@ -1,13 +1,15 @@
 """Delay, gains and response of EMG that a known filter makes of rotation, and averages about pulses."""
 
 import numpy as np
+import pandas as pd
 import pytest
-from invented_emg import EMG_RATE, noise, recorded
-from scipy import signal
+from invented_emg import EMG_RATE, RATE, noise, recorded
+from scipy import signal, stats
 
-from armperturb.analysis.emg.envelope import envelopes
+from armperturb.analysis.emg.envelope import LABELS, Envelopes, envelopes
 from armperturb.analysis.emg.reflex import pulse_averages, reflexes
 from armperturb.analysis.trials import ConditionTrials
+from armperturb.recording import Action
 
 N_TRIALS, N = 6, 40_000
 DELAY = 0.037
@@ -35,8 +37,43 @@ def recording():
 
 
 @pytest.fixture(scope="module")
-def result(recording):
-    return reflexes(ConditionTrials.prepare(recording), envelopes(recording), window_start=1.0)
+def amplitudes(recording):
+    return envelopes(recording)
+
+
+@pytest.fixture(scope="module")
+def result(recording, amplitudes):
+    return reflexes(ConditionTrials.prepare(recording), amplitudes, window_start=1.0)
+
+
+def turning(n_trials, seconds, seed=0):
+    """Trials whose joints turn at random up to 10 Hz, without EMG."""
+    n = round(seconds * RATE)
+    low = signal.butter(2, 10.0, fs=RATE, output="sos")
+    angle = signal.sosfilt(low, np.random.default_rng(seed).standard_normal((n_trials, n, 2)), axis=1)
+    made = recorded(np.zeros((n_trials, 2, 10 * n))).drop_dims("emg_time")
+    made = made.assign(joint_angle=(("trial", "time", "joint"), 0.05 * angle / angle.std(), {"units": "rad"}))
+    return ConditionTrials.prepare(made.assign_coords(joint=["shoulder", "elbow"]))
+
+
+def of_amplitude(amplitude, labels):
+    """Envelopes that are known, (trial, time, muscle), without noise of the channels."""
+    n = amplitude.shape[2]
+    return Envelopes(
+        muscles={f"muscle {k}": Action("s", 1) for k in range(n)},
+        labels=labels,
+        rate=RATE,
+        power=amplitude**2,
+        rectified=amplitude.astype(np.float32),
+        noise=np.zeros(n),
+        reference="RT7.5",
+        reference_volts=np.ones(n),
+        averaging=0.01,
+        samples_per_second=np.full(n, 400.0),
+        faults=(),
+        crosstalk=(),
+        hum={},
+    )
 
 
 def test_delay_is_that_which_was_made(result):
@@ -75,8 +112,55 @@ def test_no_reflex_is_found_where_there_is_none(recording):
     assert (nothing.responses["coherence"] < 0.05).all()
 
 
-def test_average_about_pulses_is_the_burst_in_its_window(recording):
-    rows = pulse_averages(envelopes(recording), range(N_TRIALS)).set_index("muscle")
+def test_noise_is_said_to_respond_as_often_as_the_level_of_the_test():
+    """Also at the best of all delays, while weak responses are found."""
+    n_noise, n_weak = 400, 5
+    trials = turning(2, 6.0)
+    angle, rng = trials.recording["joint_angle"].values, np.random.default_rng(1)
+    amplitude = 1.0 + 0.1 * rng.standard_normal((2, angle.shape[1], n_noise + n_weak))
+    late = round(0.04 * RATE)
+    amplitude[:, late:, n_noise:] += 0.4 * angle[:, :-late, :1]
+    labels = pd.DataFrame({name: trials.recording[name].values for name in LABELS})
+    rows = reflexes(trials, of_amplitude(amplitude, labels), window_start=0.0).responses
+    p = rows["p"].to_numpy()
+    for level in (0.05, 0.01):
+        low, high = stats.binom.interval(0.999, n_noise, level)
+        assert low <= np.sum(p[:n_noise] < level) <= high, level
+    assert (p[n_noise:] < 0.001).all()
+    assert (rows["coherence"][n_noise:] < 0.3).all()
+
+
+def test_trials_that_were_taken_go_with_their_own_emg(recording, amplitudes, result):
+    taken = ConditionTrials.prepare(recording).take([1, 4, 5]).take([1])
+    alone = reflexes(taken, amplitudes, window_start=1.0)
+    assert (alone.averages["trials"] == 1).all()
+    for row, of_all in zip(alone.responses.to_dict("records"), result.responses.to_dict("records"), strict=True):
+        assert row["delay_s"] == pytest.approx(DELAY, abs=4e-3)
+        assert row["coherence"] == pytest.approx(of_all["coherence"], rel=0.2)
+
+
+def test_emg_of_other_trials_is_refused(recording, amplitudes):
+    some = ConditionTrials.prepare(recording.isel(trial=[1, 4]))
+    with pytest.raises(ValueError, match=r"it has 6 trials of RT7.5, the other signals 2; expected the same trials"):
+        reflexes(some, amplitudes, window_start=1.0)
+
+
+def test_trials_with_too_few_lines_together_are_refused(recording, amplitudes):
+    trials = ConditionTrials.prepare(recording)
+    with pytest.raises(ValueError, match=r"RT7.5 \(1 x 5 s before the pulse\) have 2.6 independent lines in 1 Hz"):
+        reflexes(trials.take([0]), amplitudes, window_start=13.0)
+    assert len(reflexes(trials.take([0, 1]), amplitudes, window_start=13.0).frequency) > 10
+
+
+def test_a_joint_that_does_not_turn_is_named(recording, amplitudes):
+    stiff = recording.copy(deep=True)
+    stiff["joint_angle"].values[..., 1] = 0.3
+    with pytest.raises(ValueError, match=r"no rotation of elbow in trials of RT7.5; expected that of both joints"):
+        reflexes(ConditionTrials.prepare(stiff), amplitudes, window_start=1.0)
+
+
+def test_average_about_pulses_is_the_burst_in_its_window(amplitudes):
+    rows = pulse_averages(amplitudes, range(N_TRIALS)).set_index("muscle")
     assert rows.loc["extensor", "long"] > 5.0 * rows.loc["extensor", "long_error"]
     assert abs(rows.loc["flexor", "long"]) < 4.0 * rows.loc["flexor", "long_error"]
 
