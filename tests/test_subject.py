@@ -108,10 +108,12 @@ def test_bad_files_are_named(edit, message, tmp_path):
     assert str(tmp_path / "s.toml") in str(caught.value)
 
 
-def test_name_and_filter_damping_may_be_left_out_of_a_file(tmp_path):
+def test_name_and_filter_damping_may_be_left_out():
     values = RELAX.to_dict()
     del values["name"], values["zeta_act"]
-    assert Subject.from_dict(values).zeta_act == pytest.approx(2**-0.5)
+    subject = Subject.from_dict(values)
+    assert subject.zeta_act == pytest.approx(2**-0.5)
+    assert subject.name == Subject.__dataclass_fields__["name"].default
 
 
 @pytest.mark.parametrize(

@@ -96,7 +96,7 @@ def test_text_tells_what_the_recording_does(path, text, tmp_path, without_page):
         ({"channels": {"gluteus": "biceps_short_head_V"}}, "of no muscle is it known what it does"),
     ],
 )
-def test_wrong_emg_does_not_keep_the_movement_from_being_identified(text, tmp_path, capsys, fields, message):
+def test_wrong_emg_does_not_keep_the_movement_from_being_identified(text, tmp_path, fields, message):
     for file in text.iterdir():
         (tmp_path / file.name).symlink_to(file)
     sidecar = tmp_path / "wrong.json"

@@ -60,7 +60,7 @@ def test_multisines_give_tables_figures_and_the_distortion(folder, tmp_path, cap
 
 
 @pytest.mark.slow(reason="estimates from long records")
-def test_records_of_unequal_length_in_other_formats(folder, tmp_path, capsys):
+def test_records_of_unequal_length_in_other_formats(folder, tmp_path):
     from armperturb.recording_files import load_recording
 
     export_recording(load_recording(folder / "longer.nc"), tmp_path / "longer.csv")

@@ -255,7 +255,7 @@ def test_multisines_too_short_to_identify_from_are_named(relax_recording, tmp_pa
     assert math.isnan(case.force)
 
 
-def test_a_study_reads_as_a_table_and_plots(study, tmp_path):
+def test_a_study_reads_as_a_table_and_plots(study):
     assert len(repr(study).splitlines()) <= LINES
     assert f"Study of {len(study.names)} people" in repr(study)
     assert all(remark in study.summary() for remark in (*study.missing, *study.remarks))

@@ -306,7 +306,7 @@ def test_structures_that_no_trial_identifies_are_refused_with_the_direction(rela
         estimate([group_of(relax, twice)])
 
 
-def test_bad_input_is_refused_in_one_sentence(position, position_group, relax, relax_group):
+def test_bad_input_is_refused_in_one_sentence(position, position_group, relax_group):
     for arguments, options, message in (
         (([],), {}, r"groups is empty; expected the trials of at least one condition"),
         (([position_group], "best"), {}, r"method = 'best'; expected one of frequency, record"),

@@ -196,7 +196,7 @@ def test_a_negative_stiffness_is_said():
     assert any(remark.startswith("stiffness is negative") for remark in found.remarks)
 
 
-def test_tables_and_pictures_hold_the_same(tmp_path):
+def test_tables_and_pictures_hold_the_same():
     found = endpoint_impedance(POSITION, np.diag((0.02 * parameter_vector(POSITION)) ** 2), condition="PT7.5")
     relaxed = endpoint_impedance(RELAX, NOTHING, condition="RT7.5")
     frame = found.to_frame()

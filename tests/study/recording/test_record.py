@@ -135,7 +135,7 @@ def wait_for(condition):
         time.sleep(0.005)
 
 
-def test_files_hold_every_trial_in_order(settings, undisturbed, tmp_path):
+def test_files_hold_every_trial_in_order(undisturbed, tmp_path):
     assert len(undisturbed) == N_SUBJECTS + 1
     (tmp_path / "S02.nc").write_bytes(undisturbed["S02.nc"])
     recording = load_recording(tmp_path / "S02.nc")
