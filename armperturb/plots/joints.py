@@ -10,13 +10,16 @@ from armperturb.plots.style import GREY, PALETTE, RECORDED, figure_for, in_style
 SHOWN = 8.0
 """Length of the traces [s]."""
 
-LIMIT = 3.84
-"""Fall of twice the log-likelihood at the limits of a 95 % interval [-]."""
-
 
 @in_style()
 def plot_joint(
-    trace: Any, profile: Any, fit_until: float | None, quantity: str, torque: str, figure: Figure | None = None
+    trace: Any,
+    profile: Any,
+    fit_until: float | None,
+    quantity: str,
+    torque: str,
+    limit: float,
+    figure: Figure | None = None,
 ) -> Any:
     """Recorded and predicted signal, the torque of each path below it, and the profile of the delay.
 
@@ -26,6 +29,7 @@ def plot_joint(
       fit_until: end of what was fitted [s]; None for all.
       quantity: name and unit of the signal.
       torque: name and unit of the torque.
+      limit: fall of twice the log-likelihood at the ends of the interval [-].
       figure: where to draw; its height is set. None makes a new one of pyplot.
 
     Returns:
@@ -51,7 +55,7 @@ def plot_joint(
         ax.legend(loc="upper right", ncols=2)
     if profile is not None:
         axes[2].plot(1e3 * profile.values, profile.rise, color=PALETTE[0], marker="o", markersize=2.5, linewidth=1.0)
-        axes[2].axhline(LIMIT, color=GREY, linewidth=0.8, linestyle=":")
+        axes[2].axhline(limit, color=GREY, linewidth=0.8, linestyle=":")
         axes[2].set_xlabel("reflex delay [ms]")
         axes[2].set_ylabel("fall of 2 log L [-]")
         axes[2].set_ylim(0.0, None)

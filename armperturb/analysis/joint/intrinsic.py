@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from armperturb.analysis.joint.prediction import left_out_predictions, left_out_share
+from armperturb.analysis.joint.prediction import left_out_predictions, left_out_share, without_drift
 from armperturb.analysis.joint.signals import EDGE, JointSignals
 from armperturb.arrays import Array
 
@@ -47,12 +47,12 @@ def check_intrinsic(signals: JointSignals, reflex: Array) -> IntrinsicCheck:
     n = round(REACH * signals.rate) // step
     lags = step * np.arange(-n, n + 1)
     shifted = [np.roll(signals.acceleration, lag, axis=1) for lag in lags]
-    common = [np.ones_like(signals.angle), signals.angle, signals.velocity]
-    torque = (signals.torque - reflex)[:, used]
+    common = [signals.angle, signals.velocity]
+    torque = without_drift((signals.torque - reflex)[:, used])
     shares: list[float] = []
     weights: Array = np.empty(0)
     for columns in ([*common, signals.acceleration], [*common, *shifted]):
-        matrix = np.stack(columns, axis=-1)[:, used]
+        matrix = without_drift(np.stack(columns, axis=-1)[:, used])
         shares.append(left_out_share(torque, left_out_predictions(matrix, torque)))
         weights = np.asarray(np.linalg.lstsq(matrix.reshape(-1, matrix.shape[2]), torque.ravel(), rcond=None)[0])
     return IntrinsicCheck(lags / signals.rate, weights[len(common) :], shares[1], shares[0])

@@ -97,7 +97,7 @@ class FreeModel:
     left_out_vaf: float
 
     def torque(self, signals: JointSignals) -> Array:
-        """Predicted torque, from the movement alone, (trial, time)."""
+        """Predicted torque without offset and drift, from the movement alone, (trial, time)."""
         return np.mean([responses(recipe, signals, self.scales) @ weights for recipe, weights in self.parts], axis=0)
 
 
@@ -109,9 +109,9 @@ def fit_free_model(signals: JointSignals) -> FreeModel:
     recipes = [Recipe((), 0.0, 0, 1.0)]
     recipes += [Recipe(sides, c, *each) for sides, c, each in itertools.product(SIDES[1:], THRESHOLDS, FILTERS)]
     used, fits = signals.used, []
-    torque = signals.torque[:, used]
+    torque = without_drift(signals.torque[:, used])
     for recipe in recipes:
-        columns = responses(recipe, signals, scales)[:, used]
+        columns = without_drift(responses(recipe, signals, scales)[:, used])
         flat = columns.reshape(-1, columns.shape[2])
         weights = _ridge(flat.T @ flat, flat.T @ torque.ravel(), len(flat))
         fits.append((recipe, weights, left_out_predictions(columns, torque)))
@@ -127,7 +127,7 @@ def responses(recipe: Recipe, signals: JointSignals, scales: Scales) -> Array:
     rate, x, v = signals.rate, signals.angle, signals.velocity
     jerk = np.gradient(signals.acceleration, 1.0 / rate, axis=1)
     snap = np.gradient(jerk, 1.0 / rate, axis=1)
-    columns = [np.ones_like(x), x, v, signals.acceleration, jerk, snap]
+    columns = [x, v, signals.acceleration, jerk, snap]
     columns += [play_operator(x, width * scales.angle) for width in WIDTHS]
     for time_constant in RELAXATION:
         pole = np.exp(-1.0 / rate / time_constant)
@@ -199,8 +199,21 @@ def _ridge(gram: Array, side: Array, n: int) -> Array:
     return np.asarray(np.linalg.solve(scaled, side / scale) / scale)
 
 
+def without_drift(values: Array) -> Array:
+    """What is left of signals without offset and line of each trial, as the likelihood has it.
+
+    Args:
+      values: (trial, time, ...).
+    """
+    return np.asarray(signal.detrend(values, axis=1))
+
+
 def explained(recorded: Array, predicted: Array) -> float:
-    """Variance accounted for, offsets of trials left out [%]."""
-    miss = recorded - predicted
-    left, whole = (each - each.mean(axis=1, keepdims=True) for each in (miss, recorded))
+    """Variance accounted for, without offset and drift of each trial [%].
+
+    Args:
+      recorded: (trial, time).
+      predicted: (trial, time).
+    """
+    left, whole = without_drift(recorded - predicted), without_drift(recorded)
     return float(100.0 * (1.0 - np.sum(left**2) / np.sum(whole**2)))

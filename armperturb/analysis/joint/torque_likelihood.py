@@ -20,6 +20,14 @@ LOWEST = 0.05
 SHARE = 0.85
 """Highest frequency that counts, over that of the signals, or over `TOP` where they hold more [-]."""
 
+ROUNDING = 1e-9
+"""Length of the DFT of an offset below which it is rounding [-]: without a taper it is at no frequency that counts."""
+
+
+def band_of(signals: JointSignals) -> tuple[float, float]:
+    """Lowest and highest frequency of signals that count [Hz]."""
+    return LOWEST, SHARE * min(signals.top, TOP)
+
 
 class BlockScore(NamedTuple):
     """What a block of time says of the parameters.
@@ -51,7 +59,8 @@ class TorqueLikelihood(Whittle):
         n = used.stop - used.start
         self._taper = signal.windows.tukey(n, min(1.0, tapered * signals.rate / n), sym=False)
         frequency = fft.rfftfreq(n, 1.0 / signals.rate)
-        self._lines = (frequency >= LOWEST) & (frequency <= SHARE * min(signals.top, TOP))
+        lowest, highest = band_of(signals)
+        self._lines = (frequency >= lowest) & (frequency <= highest)
         self.frequency = frequency[self._lines]
         ones = np.ones(len(self.frequency), dtype=complex)
         super().__init__(
@@ -64,7 +73,8 @@ class TorqueLikelihood(Whittle):
             taper=self._taper,
         )
         time = np.linspace(-1.0, 1.0, signals.angle.shape[1])
-        self._drift = self._of_trials(np.stack([np.ones_like(time), time]))
+        drift = self._of_trials(np.stack([np.ones_like(time), time]))
+        self._drift = drift[np.linalg.norm(drift, axis=(1, 2)) > ROUNDING]
         self._white = ones[None, None]  # until the noise is weighed
         self._span = orthonormal(applied_rows(self._white, self._drift))
 

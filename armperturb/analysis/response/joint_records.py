@@ -18,6 +18,7 @@ half the sampling rate (but for traces at the onset), so that a model in discret
 continuous system: nothing is held between samples, and x responds to d within the sample.
 """
 
+import math
 from collections.abc import Sequence
 from typing import get_args
 
@@ -30,8 +31,8 @@ from armperturb.arrays import Array, ComplexArray
 from armperturb.validation import require_one_of
 
 MODEL_RATE = 200.0
-"""Records that are sampled more than 1.5 times as fast are resampled to about this rate [Hz]: more samples of the same
-band need more lags and carry no information."""
+"""About the rate of records that are sampled more than 1.5 times as fast, once they are resampled [Hz]: more samples of
+the same band need more lags and carry no information."""
 
 FILTER_REACH = 10
 """Samples of the lower rate at either end of a record that the resampling filter spoils."""
@@ -54,7 +55,7 @@ _WEIGHTS = {"arm": (0.0, 1.0), "environment": (1.0, -1.0), "total": (1.0, 0.0)}
 
 
 def joint_records(recording: SeveralTrials, window_start: float = 0.0) -> list[TrialRecord]:
-    """The signals of trials up to their pulses, at no more than about `MODEL_RATE`.
+    """The signals of trials up to their pulses, at about `MODEL_RATE` where they are sampled faster, see `thinning_of`.
 
     Args:
       recording: trials of one person in one condition, or several such recordings of the same rate, of any lengths.
@@ -80,9 +81,17 @@ def joint_records(recording: SeveralTrials, window_start: float = 0.0) -> list[T
     return records
 
 
+def thinning_of(rate: float) -> int:
+    """Every how many samples of a rate [Hz] are kept: the rate that is left is the nearest to `MODEL_RATE`.
+
+    It is above 0.75 times that, and at most 1.5 times: halves are rounded down, so that 300 Hz stays 300 Hz.
+    """
+    return max(1, math.ceil(rate / MODEL_RATE - 0.5))
+
+
 def resampled(record: TrialRecord) -> TrialRecord:
-    """A trial at no more than about `MODEL_RATE`. Raises ValueError where it is too short for that."""
-    factor = max(1, round(record.rate / MODEL_RATE))
+    """A trial at about `MODEL_RATE`, see `thinning_of`. Raises ValueError where it is too short for that."""
+    factor = thinning_of(record.rate)
     if factor == 1:
         return record
     signals = np.concatenate(record[:2], axis=1)

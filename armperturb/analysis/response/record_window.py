@@ -6,7 +6,7 @@ import numpy as np
 from scipy import fft
 
 from armperturb.analysis.force_balance import EDGE
-from armperturb.analysis.response.joint_records import FILTER_REACH, MODEL_RATE, thinned
+from armperturb.analysis.response.joint_records import FILTER_REACH, thinned, thinning_of
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
 
@@ -29,11 +29,11 @@ class RecordWindow(NamedTuple):
 
     @classmethod
     def of(cls, trials: ConditionTrials) -> Self:
-        """The window of trials, at no more than about `MODEL_RATE`."""
+        """The window of trials, at about `MODEL_RATE` where they are sampled faster, see `thinning_of`."""
         end = min(trials.first_onset, trials.n_samples - round(EDGE * trials.rate))
         if end > LONG_RECORD:
             end = quick_length(end)
-        factor = max(int(trials.rate // MODEL_RATE), 1)
+        factor = thinning_of(trials.rate)
         return cls(end, factor, 0 if trials.from_rest or factor == 1 else FILTER_REACH)
 
     def __call__(self, values: Array) -> Array:

@@ -171,6 +171,7 @@ def identify_varying(
     held = slice(signals.angle.shape[1], every.used.stop)
     return VaryingEstimate(
         variable=variable,
+        angular=recording["displacement"].attrs["units"] == "rad",
         grid=grid,
         curves=curves,
         inertia=float(values[0]),
@@ -227,7 +228,7 @@ def _linear(likelihood: VaryingLikelihood, dynamics: Array) -> Array:
 
 def _inverse(information: Array) -> Array:
     """Inverse of an information whose parameters have units of their own; directions it does not tell are zero."""
-    size = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+    size = np.sqrt(np.where(np.diag(information) > 0.0, np.diag(information), 1.0))
     return np.asarray(linalg.pinvh(information / np.outer(size, size)) / np.outer(size, size))
 
 
@@ -302,13 +303,21 @@ def _solved(likelihood: VaryingLikelihood, values: Array) -> _Solution:
 
 
 def _curve(solution: _Solution, likelihood: VaryingLikelihood, quantity: str, n_chosen: int, grid: Array) -> Curve:
-    """A quantity over the grid; its band counts how much further than noise splines of twice the distance lead."""
+    """A quantity over the grid; its band counts how much further than noise splines of twice the distance lead.
+
+    Where the variable has no values, as between two postures, nothing is known, and the standard error is infinite.
+    """
     coarse = likelihood.with_orders({**solution.model.orders, quantity: n_chosen})
     before = _solved(coarse, _linear(coarse, solution.values[solution.model.n_linear :]))
     (value, influence), (other, of_other) = (each.curve(quantity, grid) for each in (solution, before))
     moved, noise = (_over_knots(each, n_chosen) for each in ((value - other) ** 2, _size(influence - of_other) ** 2))
-    bias = np.maximum(moved - noise, 0.0) ** 2 / np.maximum(moved, np.finfo(float).tiny)
-    return Curve(value, np.sqrt(_size(influence) ** 2 + bias), solution.model.orders[quantity])
+    beyond = np.maximum(moved - noise, 0.0)
+    bias = beyond * (beyond / np.maximum(moved, np.finfo(float).tiny))
+    error = np.sqrt(_size(influence) ** 2 + bias)
+    model = solution.model
+    reached = model.basis(quantity, np.unique(model.variable[:, model.signals.used])).any(axis=1)
+    error[model.basis(quantity, grid)[~reached].any(axis=0)] = np.inf  # of splines without data nothing is known
+    return Curve(value, error, model.orders[quantity])
 
 
 def _over_knots(squares: Array, n_basis: int) -> Array:

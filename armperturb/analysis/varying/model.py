@@ -24,6 +24,9 @@ from armperturb.arrays import Array
 DEGREE = 3
 """Of B-splines; a single one is a constant."""
 
+ROUNDING = 1e-12
+"""Value below which a spline counts as zero [-]."""
+
 
 def splines(variable: Array, n_basis: int, low: float, high: float) -> Array:
     """B-splines with evenly spaced knots that sum to one, (basis, ...); constant beyond the ends.
@@ -39,6 +42,8 @@ def splines(variable: Array, n_basis: int, low: float, high: float) -> Array:
     inner = np.linspace(low, high, n_basis - DEGREE + 1)
     knots = np.concatenate([np.full(DEGREE, low), inner, np.full(DEGREE, high)])
     values = BSpline.design_matrix(np.clip(variable, low, high).ravel(), knots, DEGREE).toarray()
+    # Rounding must not pass for data of a spline that no sample reaches.
+    values[values < ROUNDING] = 0.0
     return np.moveaxis(values.reshape(*np.shape(variable), n_basis), -1, 0)
 
 
@@ -123,9 +128,7 @@ class VaryingModel:
     def torque(self, values: Array) -> Array:
         """Torque without its offset, (trial, time)."""
         torque = values[0] * self.signals.acceleration
-        courses = {
-            name: np.tensordot(values[self.part(name)], self.basis(name, self.variable), 1) for name in self.orders
-        }
+        courses = {name: self._course(name, values) for name in self.orders}
         torque = torque + courses["stiffness"] * self.signals.angle + courses["damping"] * self.signals.velocity
         if "gain" in courses:
             given = dict(zip(self.dynamics, values[self.n_linear :], strict=True))

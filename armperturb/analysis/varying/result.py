@@ -8,16 +8,12 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from armperturb.analysis.joint.model import UNITS as REFLEX_UNITS
-from armperturb.analysis.joint.model import JointStructure
+from armperturb.analysis.joint.model import UNITS, JointStructure
 from armperturb.analysis.results import Description, Result, Table, quantile
 from armperturb.arrays import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-UNITS = {"stiffness": "Nm/rad", "damping": "Nms/rad", "gain": "Nms/rad"}
-"""Quantity that changes to its unit; the gain is that of the velocity feedback."""
 
 
 class Curve(NamedTuple):
@@ -36,22 +32,24 @@ class Curve(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class VaryingEstimate(Result):
-    """Parameters of one joint over time or posture.
+    """Parameters of one joint, or of a single direction, over time or posture.
 
     Attributes:
       variable: "time" or "scheduling".
-      grid: where curves are given [s or rad], (point,).
+      angular: whether it is a joint, or a single direction.
+      grid: where curves are given [s, or rad or m], (point,).
       curves: quantity to its curve: "stiffness", "damping" and, with a reflex, "gain".
-      inertia: [kg m^2].
+      inertia: [kg m^2, or kg].
       inertia_error: its standard error.
       structure: the reflex path's static nonlinearity, and the direction of stretch that it answers to.
       dynamics: delay, frequency, damping ratio and threshold of the reflex path, as in `joint.model.UNITS`.
-      vaf: torque that the model explains in the samples that were fitted [%].
+      vaf: torque or force that the model explains in the samples that were fitted [%].
       held_out_vaf: in the rest, simulated from the angle alone [%]; None if everything was fitted.
       n_trials: how many trials.
     """
 
     variable: str
+    angular: bool
     grid: Array
     curves: Mapping[str, Curve]
     inertia: float
@@ -76,6 +74,15 @@ class VaryingEstimate(Result):
         half = quantile(level) * curve.standard_error
         return curve.value - half, curve.value + half
 
+    def unit_of(self, name: str) -> str:
+        """Unit of a curve, of the inertia, or of one of `dynamics`; the gain is that of the velocity feedback."""
+        return UNITS["reflex_gain" if name == "gain" else name][0 if self.angular else 1]
+
+    @property
+    def unit(self) -> str:
+        """Unit of the grid."""
+        return "s" if self.variable == "time" else "rad" if self.angular else "m"
+
     def describe(self) -> Description:
         """Constant parameters, range and error of each curve."""
         rows = tuple(
@@ -83,17 +90,20 @@ class VaryingEstimate(Result):
             for name, c in self.curves.items()
         )
         over = "time" if self.variable == "time" else "the scheduling variable"
+        what, driven, moved = ("joint", "torque", "angle") if self.angular else ("direction", "force", "displacement")
         facts = [
-            f"inertia {self.inertia:.4g} +/- {self.inertia_error:.2g} kg m^2; the model explains {self.vaf:.1f} % of "
-            "the torque"
+            f"inertia {self.inertia:.4g} +/- {self.inertia_error:.2g} {self.unit_of('inertia')}; the model explains "
+            f"{self.vaf:.1f} % of the {driven}"
         ]
         if self.dynamics:
-            each = ", ".join(f"{name} {value:.3g} {REFLEX_UNITS[name][0]}" for name, value in self.dynamics.items())
-            facts.append(f"{self.structure.name}: {each}".replace(" -", ""))
+            each = ", ".join(
+                f"{name} {value:.3g} {self.unit_of(name)}".removesuffix(" -") for name, value in self.dynamics.items()
+            )
+            facts.append(f"{self.structure.name}: {each}")
         if self.held_out_vaf is not None:
-            facts.append(f"held out, simulated from the angle alone: {self.held_out_vaf:.1f} % of the torque")
+            facts.append(f"held out, simulated from the {moved} alone: {self.held_out_vaf:.1f} % of the {driven}")
         return Description(
-            title=f"One joint over {over}, {self.n_trials} trial(s)",
+            title=f"One {what} over {over}, {self.n_trials} trial(s)",
             facts=tuple(facts),
             table=Table(("quantity", "least", "greatest", "standard error", "splines"), rows),
         )
@@ -105,17 +115,17 @@ class VaryingEstimate(Result):
             lower, upper = self.interval(name)
             columns = {"quantity": name, self.variable: self.grid, "value": curve.value}
             columns |= {"standard_error": curve.standard_error, "lower_95": lower, "upper_95": upper}
-            frames.append(pd.DataFrame({**columns, "unit": UNITS[name]}))
+            frames.append(pd.DataFrame({**columns, "unit": self.unit_of(name)}))
         return pd.concat(frames, ignore_index=True)
 
     def to_xarray(self) -> xr.Dataset:
         """Curves and their standard errors along `variable`."""
         variables: dict[str, Any] = {}
         for name, curve in self.curves.items():
-            variables[name] = (self.variable, curve.value, {"units": UNITS[name]})
-            variables[f"{name}_error"] = (self.variable, curve.standard_error, {"units": UNITS[name]})
-        unit = "s" if self.variable == "time" else "rad"
-        return xr.Dataset(variables, coords={self.variable: (self.variable, self.grid, {"units": unit})})
+            unit = {"units": self.unit_of(name)}
+            variables[name] = (self.variable, curve.value, unit)
+            variables[f"{name}_error"] = (self.variable, curve.standard_error, unit)
+        return xr.Dataset(variables, coords={self.variable: (self.variable, self.grid, {"units": self.unit})})
 
     def plot(self, figure: "Figure | None" = None) -> Any:
         """Draw each curve with its 95 % band.
@@ -128,9 +138,9 @@ class VaryingEstimate(Result):
         """
         from armperturb.plots.courses import Course, plot_courses
 
-        label = "time (s)" if self.variable == "time" else "scheduling variable (rad)"
+        label = f"{'time' if self.variable == 'time' else 'scheduling variable'} ({self.unit})"
         courses = [
-            Course(f"{name} ({UNITS[name]})", self.grid, curve.value, *self.interval(name))
+            Course(f"{name} ({self.unit_of(name)})", self.grid, curve.value, *self.interval(name))
             for name, curve in self.curves.items()
         ]
         return plot_courses(courses, label, figure)

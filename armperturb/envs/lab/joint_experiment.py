@@ -167,17 +167,17 @@ def at_signal_to_noise(
       rate: of the perturbation [Hz].
       timestep: of the simulation [s].
     """
-    still = np.zeros_like(trial.perturbation) if trial.neutral is None else trial.neutral
     signal = "force" if servo.kind == "position" else "displacement"
 
-    def rms(*, noise: float, perturbation: ArrayLike) -> float:
-        changed = replace(trial, noise=noise, perturbation=perturbation)
+    def recorded(noise: float) -> Array:
+        changed = replace(trial, noise=noise)
         recording = run_joint_experiment([changed], servo, rate=rate, timestep=timestep, n_threads=1)
-        return float(recording[signal].values.std())
+        return np.asarray(recording[signal].values)
 
-    response = rms(noise=0.0, perturbation=trial.perturbation)
+    clean = recorded(0.0)
+    response = float(clean.std())
     small = 1e-3 * response if servo.kind == "position" else 1e-3
-    noise = rms(noise=small, perturbation=still) if trial.neutral is None else small
+    noise = float((recorded(small) - clean).std())
     return replace(trial, noise=small * response / noise * 10.0 ** (-decibel / 20.0))
 
 

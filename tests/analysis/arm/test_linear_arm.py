@@ -295,3 +295,21 @@ def test_long_simulations_go_in_stretches(monkeypatch):
     monkeypatch.setattr(state_space_module, "LONGEST_STRETCH", 64)
     for found, expected in zip(simulate_linear(POSITION, ENVIRONMENT, force, 200.0), usual, strict=True):
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((POSITION, [1.0], "exakt"), "delay = 'exakt'; expected one of exact, pade"),
+        ((POSITION, [1.0, np.nan]), "frequency = nan Hz; expected finite numbers of at least 0"),
+        ((POSITION, [np.inf]), "frequency = inf Hz"),
+        ((POSITION, [1.0, -2.0]), "frequency = -2 Hz"),
+        ((POSITION, 1.0), r"frequency has shape \(\); expected \(frequency,\)"),
+        ((POSITION, [[1.0]]), r"frequency has shape \(1, 1\)"),
+        (("position", [1.0]), "subject = 'position'; expected a Subject"),
+    ],
+)
+def test_requests_that_no_response_answers_are_refused(arguments, message):
+    for function in (arm_admittance, joint_impedance):
+        with pytest.raises((TypeError, ValueError), match=message):
+            function(*arguments)

@@ -13,10 +13,12 @@ from armperturb.analysis.joint.identify import identify_joint
 from armperturb.analysis.joint.intrinsic import check_intrinsic
 from armperturb.analysis.joint.likelihood import JointLikelihood, environment_of
 from armperturb.analysis.joint.model import JointModel, JointStructure
+from armperturb.analysis.joint.prediction import explained, fit_free_model
 from armperturb.analysis.joint.signals import joint_signals
+from armperturb.analysis.joint.torque_likelihood import band_of
 from armperturb.analysis.page.joint_page import joint_verdict, write_joint_page
 from armperturb.analysis.page.page import Origin
-from armperturb.analysis.results import PARAMETER_COLUMNS
+from armperturb.analysis.results import PARAMETER_COLUMNS, quantile
 
 
 @pytest.fixture(scope="module")
@@ -59,6 +61,40 @@ def test_errors_count_that_the_noise_is_estimated(recording):
     known, left = likelihood.informations(fit.values, np.eye(3))
     np.testing.assert_allclose(np.diag(fit.covariance), np.diag(np.linalg.inv(left)), rtol=1e-3)
     assert np.all(np.diag(fit.covariance) > 1.01 * np.diag(np.linalg.inv(known)))
+
+
+def test_a_half_wave_that_is_asked_for_is_described_with_its_direction(recording):
+    result = identify_joint(recording.isel(time=slice(0, 4000)), reflex="half-wave")
+    assert len(result.tried) == 2
+    said = f"structure as asked for, its direction chosen by left-out data: {result.structure.name}"
+    assert said in result.summary()
+    assert joint_summary(result)["remarks"][0] == said
+    (limit,) = [line for line in result.plot()[2].lines if line.get_linestyle() == ":"]
+    np.testing.assert_allclose(limit.get_ydata(), quantile(0.95) ** 2)
+
+
+def test_drift_counts_for_no_prediction(recording):
+    signals = joint_signals(recording.isel(time=slice(0, 8000)))
+    drifting = replace(signals, torque=signals.torque + 7.0 + np.linspace(0.0, 30.0, signals.torque.shape[1]))
+    nothing = np.zeros_like(signals.torque)
+    predicted = signals.torque + 0.1 * np.cos(np.arange(signals.torque.shape[1]))
+    assert explained(drifting.torque, predicted) == pytest.approx(explained(signals.torque, predicted), abs=1e-9)
+    assert explained(signals.torque, nothing) == pytest.approx(0.0, abs=1e-9)
+    still, moved = fit_free_model(signals), fit_free_model(drifting)
+    assert moved.left_out_vaf == pytest.approx(still.left_out_vaf, abs=1e-6)
+    np.testing.assert_allclose(moved.torque(signals), still.torque(signals), atol=1e-6)
+    assert check_intrinsic(drifting, nothing).left_out_vaf == pytest.approx(
+        check_intrinsic(signals, nothing).left_out_vaf, abs=1e-6
+    )
+
+
+@pytest.mark.parametrize(("top", "highest"), [(60.0, 51.0), (100.0, 51.0), (20.0, 17.0)])
+def test_the_band_is_that_which_the_likelihood_counts(recording, top, highest):
+    signals = joint_signals(recording.isel(time=slice(0, 4000)), top=top)
+    lowest, most = band_of(signals)
+    assert (lowest, most) == (0.05, pytest.approx(highest))
+    counted = JointLikelihood(JointStructure(reflex="none"), signals).frequency
+    assert lowest <= counted[0] <= counted[-1] <= most < counted[-1] + 1.0
 
 
 @pytest.mark.slow(reason="a search by maximum likelihood of four structures")

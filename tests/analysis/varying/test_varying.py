@@ -1,5 +1,7 @@
 """Parameters that change: known courses are estimated from numbers made without the simulator, and bad input."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
@@ -15,14 +17,14 @@ RATE = 250.0
 INERTIA, DAMPING = 0.015, 0.9
 
 
-def recorded(angle, torque, servo="position", **more):
+def recorded(angle, torque, servo="position", *, angular=True, **more):
     """A recording of one axis, of signals (trial, time)."""
     n_trials = len(angle)
     names = ("pulse_level", "pulse_direction", "pulse_onset", "limit_time", "l_h", "l_f", "theta_s_deg", "theta_e_deg")
     labels = {name: np.full(n_trials, np.nan) for name in names} | {"repetition": range(n_trials)}
     labels |= {name: [word] * n_trials for name, word in (("subject", "A"), ("task", "PT"), ("condition", "PT"))}
     signals = {name: values[..., None] for name, values in {"force": torque, "displacement": angle, **more}.items()}
-    return make_recording(signals, labels, RATE, servo=servo, joint="ankle", angular=True)
+    return make_recording(signals, labels, RATE, servo=servo, joint="ankle", angular=angular)
 
 
 def derivative(signal):
@@ -104,6 +106,51 @@ def test_stiffness_over_a_scheduling_variable_predicts_what_was_held_out():
     estimate = identify_varying(record, "scheduling", reflex="none", fit_until=20.0)
     np.testing.assert_allclose(estimate.curves["stiffness"].value, 80.0 + 200.0 * estimate.grid, rtol=0.05)
     assert estimate.held_out_vaf > 95.0
+
+
+def test_units_are_those_of_the_recording():
+    angle, torque = measured(100.0, 6, 1.5, 0.1)
+    estimates = [identify_varying(recorded(angle, torque, angular=each), reflex="none") for each in (True, False)]
+    said = {
+        angular: (estimate.to_frame()["unit"].unique().tolist(), estimate.to_xarray()["damping"].attrs["units"])
+        for angular, estimate in zip((True, False), estimates, strict=True)
+    }
+    assert said == {True: (["Nm/rad", "Nms/rad"], "Nms/rad"), False: (["N/m", "Ns/m"], "Ns/m")}
+    for estimate, mass, driven in zip(estimates, (" kg m^2;", " kg;"), ("of the torque", "of the force"), strict=True):
+        assert mass in estimate.summary()
+        assert driven in estimate.summary()
+    line = replace(estimates[1], variable="scheduling")
+    assert line.to_xarray()["scheduling"].attrs["units"] == "m"
+    assert line.plot()[-1].get_xlabel() == "scheduling variable (m)"
+    assert [panel.get_ylabel() for panel in line.plot()] == ["stiffness (N/m)", "damping (Ns/m)"]
+    reflex = {"reflex_damping_ratio": 0.8, "reflex_threshold": -0.2}
+    assert "reflex_damping_ratio 0.8, reflex_threshold -0.2 m/s" in replace(line, dynamics=reflex).summary()
+
+
+def test_an_ensemble_may_be_of_a_length_at_which_an_offset_is_exactly_nothing():
+    angle, torque = measured(100.0, 6, 1.2, 0.1)  # 200 samples count: sums over periods are zero without rounding
+    assert identify_varying(recorded(angle, torque), reflex="none").vaf > 99.0
+
+
+def test_between_two_postures_nothing_is_known():
+    angle, torque = measured(100.0, 2, 6.0, 0.0)
+    posture = np.broadcast_to([[0.0], [0.05]], angle.shape)
+    estimate = identify_varying(recorded(angle, torque, scheduling=posture), "scheduling", reflex="none")
+    for curve in estimate.curves.values():
+        assert np.abs(curve.value).max() < 110.0
+        assert np.isinf(curve.standard_error[1:-1]).all()
+    np.testing.assert_allclose(estimate.curves["stiffness"].value[[0, -1]], 100.0, rtol=0.01)
+
+
+def test_a_drift_of_the_torque_is_not_counted():
+    angle, torque = measured(100.0, 2, 6.0, 0.1)
+    slow = 0.2 * np.sin(np.arange(angle.shape[1]) / RATE + [[0.0], [2.0]])
+    shares = []
+    for drift in (0.0, 50.0):
+        record = recorded(angle, torque + drift * np.linspace(0.0, 1.0, angle.shape[1]), scheduling=slow)
+        shares.append(identify_varying(record, "scheduling", reflex="none").vaf)
+    assert shares[0] > 99.0
+    assert shares[1] == pytest.approx(shares[0], abs=0.1)
 
 
 def test_bad_input_is_refused():

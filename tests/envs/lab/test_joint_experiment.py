@@ -156,12 +156,13 @@ def test_an_imposed_movement_refuses_numbers_out_of_range(number):
         imposed_movement(seed=0, duration=1.0, **number)
 
 
+@pytest.mark.parametrize("neutral", [None, np.linspace(0.0, 0.1, 6000)], ids=["still", "moving"])
 @pytest.mark.parametrize(("kind", "name"), [("position", "force"), ("force", "displacement")])
-def test_noise_has_the_ratio_that_is_asked_for(kind, name):
+def test_noise_has_the_ratio_that_is_asked_for(kind, name, neutral):
     size = {"position": 0.03, "force": 3.0}[kind]
     make = random_steps if kind == "position" else random_noise
     drive = make(seed=1, duration=6.0, **{"size" if kind == "position" else "rms": size})
-    servo, trial = servo_of("ankle", kind), JointTrial(person=ANKLE, perturbation=drive, seed=5)
+    servo, trial = servo_of("ankle", kind), JointTrial(person=ANKLE, perturbation=drive, neutral=neutral, seed=5)
     noisy = run_joint_experiment([at_signal_to_noise(trial, servo, 15.0)], servo)[name].values
     clean = run_joint_experiment([trial], servo)[name].values
     assert 20 * np.log10(clean.std() / (noisy - clean).std()) == pytest.approx(15.0, abs=0.3)
