@@ -3,14 +3,16 @@
 import ast
 import importlib
 import importlib.metadata
+import io
 import os
+import shutil
 import signal
 import sys
 import threading
 import traceback
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import MISSING, fields, is_dataclass, make_dataclass
 from pathlib import Path
 from typing import Any, Union, get_type_hints
@@ -33,6 +35,9 @@ COMMANDS = tuple(_NAMES.split())
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """How many threads linear algebra takes, if the user says so; by default one, as more only wait for each other: the
 matrices of this package are small."""
+
+NARROWEST = 40
+"""Width that help is laid out for at least [character]; in a few characters it could not be."""
 
 MOMENT = 0.02
 """Time after which an interruption that could not be raised is repeated [s]."""
@@ -202,15 +207,22 @@ def show(lines: Iterable[str]) -> None:
 
 def _missing(folder: Path | None) -> Path | None:
     """A folder that is not there yet; None if it is."""
-    return None if folder is None or folder.exists() else folder
+    if folder is None:
+        return None
+    folder = Path(os.path.realpath(folder))  # of "new/.." that which is meant
+    return None if folder.exists() else folder
 
 
 def _remove_empty(folder: Path | None) -> None:
-    """Remove a folder that the command has made, and those in it, as far as they are empty."""
-    if folder is not None and folder.is_dir():
-        for path, _, _ in os.walk(folder, topdown=False):
-            with suppress(OSError):
-                os.rmdir(path)
+    """Remove a folder that was made meanwhile, and those in it, if there is no file in any.
+
+    Files may be those of another process, to whom the folders are then left too.
+    """
+    if folder is None or any(names for _, _, names in os.walk(folder)):
+        return
+    for path, _, _ in os.walk(folder, topdown=False):
+        with suppress(OSError):
+            os.rmdir(path)
 
 
 def printable(text: str) -> str:
@@ -227,16 +239,36 @@ def _parse(arguments: Sequence[str]) -> Command:
     registry = constructors.ConstructorRegistry()
     registry.primitive_rule(_from_file)
     registry.struct_rule(_settings)
-    command: Command = tyro.cli(
-        any_command,
-        prog="armperturb",
-        description="Human-arm perturbation experiments on synthetic people in MuJoCo, and their analysis; "
-        "`armperturb --version` prints the version.",
-        args=arguments,
-        config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
-        registry=registry,
-    )
+    with _usable_terminal():
+        command: Command = tyro.cli(
+            any_command,
+            prog="armperturb",
+            description="Human-arm perturbation experiments on synthetic people in MuJoCo, and their analysis; "
+            "`armperturb --version` prints the version.",
+            args=arguments,
+            config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+            registry=registry,
+        )
     return command
+
+
+@contextmanager
+def _usable_terminal() -> Iterator[None]:
+    """Within the block, standard streams are there and wide enough for help to be laid out."""
+    with ExitStack() as stack:
+        if sys.stdout is None:
+            stack.enter_context(redirect_stdout(io.StringIO()))
+        if sys.stderr is None:
+            stack.enter_context(redirect_stderr(io.StringIO()))
+        width = os.environ.get("COLUMNS")
+        if shutil.get_terminal_size().columns < NARROWEST:
+            os.environ["COLUMNS"] = str(NARROWEST)
+        try:
+            yield
+        finally:
+            os.environ.pop("COLUMNS", None)
+            if width is not None:
+                os.environ["COLUMNS"] = width
 
 
 def _without_options(name: str) -> type:

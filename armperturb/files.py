@@ -23,6 +23,12 @@ if TYPE_CHECKING:
 _INPUTS: ContextVar[set[tuple[int, int]] | None] = ContextVar("inputs", default=None)
 """Device and number of each file that was read, where those must not be written to."""
 
+PART = re.compile(r"\..+\.[0-9a-f]{16}\.part")
+"""Name of a temporary file."""
+
+LONGEST_PART = 180
+"""How much of a file's name that of its temporary file has [byte]; a name may have 255."""
+
 _UNFINISHED: set[Path] = set()
 """Temporary files that this process has, or is about to have."""
 
@@ -232,9 +238,12 @@ def written_whole(path: str | Path) -> Iterator[Path]:
 
 
 def write_whole(path: str | Path, content: bytes | str) -> None:
-    """Write a file whole or not at all, text as UTF-8, as `written_together` does."""
+    """Write a file whole or not at all, text as UTF-8, as `written_together` does.
+
+    Bytes of a file's name that are no UTF-8, which Python holds as surrogates, are written as escapes.
+    """
     with written_whole(path) as temporary:
-        temporary.write_bytes(content.encode() if isinstance(content, str) else content)
+        temporary.write_bytes(content.encode(errors="backslashreplace") if isinstance(content, str) else content)
 
 
 def _part(path: Path) -> Path:
@@ -242,7 +251,8 @@ def _part(path: Path) -> Path:
     require_folder_of(path)
     require_no_input(path)
     require_no_folder(path)
-    part = path.with_name(f".{path.name}.{secrets.token_hex(8)}.part")
+    name = os.fsdecode(os.fsencode(path.name)[:LONGEST_PART])
+    part = path.with_name(f".{name}.{secrets.token_hex(8)}.part")
     _UNFINISHED.add(part)  # before it is there
     try:
         os.close(os.open(part, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600))

@@ -1,10 +1,11 @@
 """Names of files that follow from labels, and numbers and truth values as files hold them."""
 
 import json
+import os
 
 import numpy as np
 
-from armperturb.files import endings_of, finite_or_none, write_csv
+from armperturb.files import endings_of, finite_or_none, write_csv, write_whole
 
 
 def test_labels_give_names_of_files_that_are_never_alike():
@@ -29,3 +30,13 @@ def test_numbers_that_json_cannot_hold_are_null():
         json.dumps(finite_or_none(content), allow_nan=False)
         == '{"a": [1.5, null, {"b": null}], "c": [2, "text", null]}'
     )
+
+
+def test_names_of_files_that_are_no_text_are_written_as_escapes(tmp_path):
+    write_whole(tmp_path / "page.html", os.fsdecode(b"<p>q-\xff.csv</p>"))
+    assert (tmp_path / "page.html").read_text() == r"<p>q-\udcff.csv</p>"
+
+
+def test_names_may_be_as_long_as_the_file_system_takes(tmp_path):
+    write_whole(tmp_path / ("é" * 125 + ".csv"), "1\n")
+    assert len(list(tmp_path.iterdir())) == 1

@@ -111,6 +111,29 @@ def test_degrees_declared_radians_are_named_by_the_inertia(tmp_path):
         import_recording([files(tmp_path, np.degrees(angle), torque)])
 
 
+def slow(delay):
+    """Angle up to 3 Hz and torque that the limb exerts, with a reflex that answers to velocity after a delay."""
+    time = np.arange(round(24 * RATE)) / RATE
+    angle, torque = 0 * time, 0 * time
+    for f in (0.5, 1.0, 1.3, 1.7, 2.1, 2.5, 2.9):
+        s, wn = 2j * np.pi * f, 2 * np.pi * 4.0
+        reflex = 4.0 * s * np.exp(-s * delay) * wn**2 / (s**2 + 1.5 * wn * s + wn**2)
+        tone = 0.01 * np.exp(s * time + 1j * f)
+        angle, torque = angle + tone.real, torque - ((0.012 * s**2 + 0.9 * s + 70.0 + reflex) * tone).real
+    return angle, torque + 0.005 * np.random.default_rng(3).normal(size=len(time))
+
+
+@pytest.mark.parametrize("body", ["hand", "handle"])
+def test_a_reflex_that_looks_like_inertia_of_the_other_sign_refuses_no_slow_movement(tmp_path, body):
+    path = files(tmp_path, *slow(0.045), sidecar=changed(signals__force__exerted_by=body))
+    recording, notes = import_recording([path])
+    assert recording.sizes["trial"] == 1
+    note = next(note for note in notes if "too slow to show the sign of force" in note)
+    assert "inertia comes out at " + "-" * (body == "hand") + "0.1" in note
+    # A joint resists what moves it, however slow that is.
+    assert ("exerted_by the other" in note) == (body == "handle")
+
+
 def test_a_constant_angle_and_a_saturated_torque_are_named(tmp_path):
     angle, torque = ankle()
     with pytest.raises(ValueError, match=r"angle_rad \(displacement\) is constant at 0.1"):

@@ -1,7 +1,8 @@
 """Whether a recording of one axis obeys physics: a limb has a positive inertia, of the size that a joint can have.
 
-Torque is regressed on acceleration, velocity and angle over a band of frequencies; inertia dominates its upper end. On
-a force servo d - f must move the virtual environment besides, as in `balance`.
+Torque is regressed on acceleration, velocity and angle over a band of frequencies; inertia dominates its upper end.
+Where the movement stays below the joint's natural frequency, stiffness makes most of the torque, and a reflex's phase
+may look like inertia of either sign. On a force servo d - f must move the virtual environment besides, as in `balance`.
 """
 
 from typing import NamedTuple
@@ -34,19 +35,36 @@ class Regression(NamedTuple):
     Attributes:
       inertia: [kg m^2], or mass [kg].
       standard_error: of the inertia.
+      stiffness: [Nm/rad], or [N/m].
+      inertial: RMS of what inertia makes of the load, over that of what stiffness does [-].
       left: unexplained share of the load [-].
     """
 
     inertia: float
     standard_error: float
+    stiffness: float
+    inertial: float
     left: float
+
+    @property
+    def shows_inertia(self) -> bool:
+        """Whether the inertia is larger than its error."""
+        return abs(self.inertia) >= SURE * self.standard_error
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether inertia and stiffness have opposite signs and stiffness, which is most of the load, decides."""
+        return self.inertia * self.stiffness < 0.0 and self.inertial < 1.0
 
 
 def limb_inertia(recording: xr.Dataset) -> float | None:
-    """Inertia that the force moves [kg m^2], or mass [kg]; None if the movement is too short or slow to show one."""
+    """Inertia that the force moves [kg m^2], or mass [kg]; None if the movement is too short or slow to show one.
+
+    Inertia and stiffness of opposite signs show none either where stiffness is most of the load.
+    """
     x, f = (recording[name].values[..., 0] for name in ("displacement", "force"))
     limb = _regression(f, x, float(recording.attrs["rate"]))
-    return None if limb is None or abs(limb.inertia) < SURE * limb.standard_error else limb.inertia
+    return None if limb is None or not limb.shows_inertia or limb.contradicts else limb.inertia
 
 
 def check_joint(recording: xr.Dataset, mass: float | None = None, source: str = "recording") -> list[str]:
@@ -72,9 +90,18 @@ def check_joint(recording: xr.Dataset, mass: float | None = None, source: str = 
         return [f"{x.shape[1] / rate:.3g} s at {rate:g} Hz are too short, or too slow, to show an inertia: unchecked"]
     if recording.attrs["servo"] == "force":
         _require_environment(recording["perturbation"].values[..., 0] - f, x, rate, mass, unit, source)
-    if abs(limb.inertia) < SURE * limb.standard_error:
+    if not limb.shows_inertia:
         _require_angles(recording, source)
         return ["the movement is too slow to show an inertia: signs and units are unchecked"]
+    if limb.contradicts:
+        _require_angles(recording, source)
+        per = "Nm/rad" if angular else "N/m"
+        turned = " (that of a joint is positive: signals.force.exerted_by the other?)" * (limb.stiffness < 0.0)
+        return [
+            f"the movement is too slow to show the sign of force: inertia comes out at {limb.inertia:.3g} {unit} and "
+            f"stiffness at {limb.stiffness:.3g} {per}{turned}, as reflexes can make them below the joint's natural "
+            "frequency: signs and units are unchecked"
+        ]
     joint = recording.attrs.get("joint")
     lower, upper = TABLES["inertias"].get(joint if angular else "mass") or TABLES["inertias"]["any"]
     shown = f"{source}: the limb's inertia comes out at {limb.inertia:.3g} {unit}"
@@ -151,4 +178,6 @@ def _regression(load: Array, x: Array, rate: float) -> Regression | None:
     scores = grams[:, 1:, 0] - grams[:, 1:, 1:] @ weights
     covariance = inverse @ (scores.T @ scores) @ inverse
     left = float((gram[0, 0] - weights @ gram[1:, 0]) / gram[0, 0])
-    return Regression(float(weights[0]), float(np.sqrt(covariance[0, 0])), left)
+    inertial, _, elastic = np.abs(weights) * np.sqrt(np.diag(gram)[1:])
+    ratio = float(inertial / max(elastic, np.finfo(float).tiny))
+    return Regression(float(weights[0]), float(np.sqrt(covariance[0, 0])), float(weights[2]), ratio, left)

@@ -30,6 +30,18 @@ def is_one_axis(columns: Sequence[Column]) -> bool:
     return "force" in roles and "displacement" in roles
 
 
+def pairs_of_one_axis(columns: Sequence[Column]) -> dict[str, tuple[Column, Column]]:
+    """Signal to two columns that may hold it, where perturbation, movement and force have two each; else empty.
+
+    They are in the order of the file, which is most often that of the axes. A joint has no second axis.
+    """
+    roles = _columns_by_role(columns)
+    named = ("perturbation", "force", "displacement")
+    if any(len(roles.get(name, ())) != 2 for name in named) or _is_angular(roles):
+        return {}
+    return {name: (roles[name][0], roles[name][1]) for name in named}
+
+
 def _columns_by_role(columns: Sequence[Column]) -> dict[str, list[Column]]:
     """Signal to the columns that may hold it, in the order of the file."""
     longest = max((len(column.values) for column in columns), default=0)
@@ -65,7 +77,8 @@ def one_axis_fields(path: Path, columns: Sequence[Column], guessed: dict[str, st
         field, unit = f"signals.{name}", ours.get(name, "Nm" if angular else "N")
         signal: dict[str, Any] = {"channels": {"x": column.channel}, "unit": column.words()[1]}
         if others:
-            guessed[f"{field}.channels.x"] = f"or {', '.join(other.channel for other in others)}"[:190]
+            rest = ", ".join(other.channel for other in others)
+            guessed[f"{field}.channels.x"] = f"one axis is taken; or {rest}, or two axes in place of servo"[:190]
         if signal["unit"] not in UNITS[unit]:
             signal["unit"] = _movement_units(column, angular=angular)[0] if unit in ("m", "rad") else unit
             guessed[f"{field}.unit"] = "from the size of its values" if unit in ("m", "rad") else "the usual one"
@@ -145,7 +158,7 @@ def settled_one_axis(
             units[0],
             "handle",
             servos[0],
-            f"units and signs are unchecked{f': {refused[0]}' * bool(refused)}",
+            ": ".join(("units and signs are unchecked", *refused[:1])),
         )
         guessed["signals.force.exerted_by"] = f"{MEANINGS['exerted_by']} ({TABLES['origins']['exerted_by']})"
     _, _, displacement["unit"], force["exerted_by"], content["servo"], note = best

@@ -12,13 +12,13 @@ from typing import Any, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from armperturb.analysis.cuts import ARM_LABELS
 from armperturb.analysis.force_balance import Balance
-from armperturb.analysis.trials import ARM_LABELS
 from armperturb.convert.checks import AWAY, LARGEST_FORCE
 from armperturb.convert.columns import WORD, Column, axis_of, columns_of, dialect_of
 from armperturb.convert.fields import MEANINGS
 from armperturb.convert.importer import import_trials
-from armperturb.convert.one_axis_template import is_one_axis, one_axis_fields, settled_one_axis
+from armperturb.convert.one_axis_template import is_one_axis, one_axis_fields, pairs_of_one_axis, settled_one_axis
 from armperturb.convert.raw import trial_name
 from armperturb.convert.reading import ARRAYS, C3D, TEXT, read_trials
 from armperturb.convert.sidecar import BODIES, FIRST, OPEN, REQUIRED_LABELS, Dialect, Sidecar
@@ -39,6 +39,12 @@ WORDS: Mapping[str, Sequence[str]] = TABLES["words"]
 MOVEMENT = (0.003, 0.5)
 """Between which the handle's path usually extends [m]."""
 
+OF_ONE_AXIS = (
+    "no signal was recognised, and this sidecar is one of two axes: a recording of one axis (angle and torque of a "
+    "joint) has another, with servo in place of axes and only x, which is written where columns are named angle and "
+    "torque or displacement and force (docs/recordings.md)"
+)
+"""Said where no name shows what the signals are."""
 
 CHECKS = {field: f"{MEANINGS[field]} ({origin})" for field, origin in TABLES["origins"].items()}
 """Field that has to be filled in to what it means, and why its value is a guess."""
@@ -86,7 +92,7 @@ def write_sidecar(file: str | Path, out: str | Path | None = None, *, rate: floa
         raise FileNotFoundError(f"{path}: no such file, or a folder; expected a recording")
     dialect = dialect_of(path) if path.suffix.lower() in TEXT else Dialect()
     columns = columns_of(path, dialect)
-    content, guessed = _guess(path, columns, dialect, rate)
+    content, guessed, said = _guess(path, columns, dialect, rate)
     settle = settled_one_axis if "servo" in content else _settled
     notes = settle(path, target, content, guessed, columns)
     content["guessed"] = guessed
@@ -96,7 +102,7 @@ def write_sidecar(file: str | Path, out: str | Path | None = None, *, rate: floa
         value: Any = reduce(getitem, field.split("."), content)
         what = "is left open" if value == OPEN else "is a guess"
         marked.append(f"{field} = {json.dumps(value, ensure_ascii=False)} {what}: {text}")
-    return SidecarTemplate(target, (*marked, *notes))
+    return SidecarTemplate(target, (*marked, *said, *notes))
 
 
 # What it means.
@@ -104,8 +110,8 @@ def write_sidecar(file: str | Path, out: str | Path | None = None, *, rate: floa
 
 def _guess(
     path: Path, columns: Sequence[Column], dialect: Dialect, rate: float | None
-) -> tuple[dict[str, Any], dict[str, str]]:
-    """The sidecar, and what to check in it: field to text."""
+) -> tuple[dict[str, Any], dict[str, str], list[str]]:
+    """The sidecar, what to check in it: field to text, and notes for the reader."""
     content: dict[str, Any] = {} if rate is None else {"rate": rate}
     guessed: dict[str, str] = {}
     pairs: dict[str, dict[tuple[str, ...], dict[str, Column]]] = {name: {} for name in REQUIRED_SIGNALS}
@@ -140,12 +146,26 @@ def _guess(
     if "time" not in content and "rate" not in content and not any(column.rate for column in columns):
         content = {"rate": OPEN, **content}
         guessed = {"rate": "the sampling rate in Hz, or instead of it the field time", **guessed}
-    if not any(len(pair) == 2 for stems in pairs.values() for pair in stems.values()) and is_one_axis(singles):
+    said: list[str] = []
+    has_axes = any(len(pair) == 2 for stems in pairs.values() for pair in stems.values())
+    if not has_axes and (paired := pairs_of_one_axis(singles)):
+        has_axes = True
+        for name, (first, second) in paired.items():
+            pairs[name] = {(): {"x": first, "y": second}}
+            guessed[f"signals.{name}.channels"] = "two channels may hold it: which is x, which y? (by their order)"
+        each = ", ".join(f"{first.channel} and {second.channel}" for first, second in paired.values())
+        said.append(
+            f"each signal has two channels that may hold it ({each}): they are taken for two axes; a recording of one "
+            "axis has servo in place of axes and one channel of each (docs/recordings.md)"
+        )
+    if not has_axes and is_one_axis(singles):
         content |= one_axis_fields(path, singles, guessed)
         _add_labels(path, labels, trial, content, guessed, of_arm=False)
         if dialect != Dialect():
             content["csv"] = dialect._asdict()
-        return content, guessed
+        return content, guessed, said
+    if not has_axes:
+        said.append(OF_ONE_AXIS)
     content["axes"], guessed["axes"] = {"x": "right", "y": "forward"}, CHECKS["axes"]
     others = ", ".join(column.channel for column in columns)
     content["signals"] = {
@@ -155,7 +175,7 @@ def _guess(
     _add_labels(path, labels, trial, content, guessed)
     if dialect != Dialect():
         content["csv"] = dialect._asdict()
-    return content, guessed
+    return content, guessed, said
 
 
 def _unit_of_times(times: NDArray[Any]) -> str:

@@ -435,6 +435,42 @@ def test_a_file_that_cannot_be_written_is_named_as_the_user_did(tmp_path, monkey
     assert not list(tmp_path.iterdir())
 
 
+def test_folders_of_others_stay_where_a_command_fails(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("mine/empty").mkdir(parents=True)
+    new = cli._missing(Path("fresh/.."))
+    Path("fresh").mkdir()
+    cli._remove_empty(new)
+    assert Path("mine/empty").is_dir()
+    # Another process has begun to write into the folder that this one found missing.
+    new = cli._missing(Path("study"))
+    Path("study/recordings").mkdir(parents=True)
+    Path("study/.lock").touch()
+    cli._remove_empty(new)
+    assert Path("study/recordings").is_dir()
+    Path("study/.lock").unlink()
+    cli._remove_empty(new)
+    assert not Path("study").exists()
+
+
+@pytest.mark.parametrize("columns", [1, 4])
+def test_help_ends_on_a_terminal_of_few_characters(columns, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", str(columns))
+    with pytest.raises(SystemExit, match="0"):
+        run("sidecar", "--help")
+    assert "usage: armperturb sidecar" in capsys.readouterr().out
+    assert os.environ["COLUMNS"] == str(columns)
+
+
+def test_help_and_usage_errors_need_no_standard_streams(monkeypatch):
+    monkeypatch.setattr(sys, "stdout", None)
+    monkeypatch.setattr(sys, "stderr", None)
+    for options, status in (("--help", 0), ("--nonsense", 2)):
+        with pytest.raises(SystemExit) as caught:
+            run("sidecar", options)
+        assert caught.value.code == status
+
+
 def test_usage_errors_leave_with_a_status(capsys):
     no_muscles = ["study", "--out", "x", "--muscles", "soft"]
     for arguments in ([], ["fly"], UNKNOWN, no_muscles):

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from scipy.io import savemat
-from test_one_axis import RATE, ankle, files
+from test_one_axis import RATE, ankle, files, slow
 
 from armperturb.convert.importer import import_recording
 from armperturb.convert.template import write_sidecar
@@ -103,3 +103,32 @@ def test_an_angle_that_shows_nothing_leaves_guesses(tmp_path):
     sidecar, notes = written(path)
     assert "signals.force.exerted_by" in sidecar["guessed"]
     assert any("unchecked" in note for note in notes)
+
+
+def test_a_movement_too_slow_to_show_the_sign_of_force_leaves_it_to_the_person(tmp_path):
+    angle, torque = slow(0.045)
+    path = tmp_path / "slow.csv"
+    path.write_text(as_text(("t", "angle_rad", "torque_Nm"), np.arange(len(angle)) / RATE, angle, torque))
+    sidecar, notes = written(path)
+    assert "signals.force.exerted_by" in sidecar["guessed"]
+    assert not any("physics agrees" in note for note in notes)
+
+
+def test_a_second_channel_of_a_joint_is_named(tmp_path):
+    angle, torque = ankle()
+    path = tmp_path / "two.csv"
+    path.write_text(as_text(("t", "angle_a", "angle_b", "torque_Nm"), time(), angle, angle, torque))
+    sidecar, _ = written(path)
+    assert sidecar["signals"]["displacement"]["channels"] == {"x": "angle_a"}
+    assert sidecar["guessed"]["signals.displacement.channels.x"] == (
+        "one axis is taken; or angle_b, or two axes in place of servo"
+    )
+
+
+def test_a_file_whose_names_show_nothing_is_told_of_the_sidecar_of_one_axis(tmp_path):
+    angle, torque = ankle()
+    path = tmp_path / "knoechel.csv"
+    path.write_text(as_text(("t", "Winkel", "Kraftmoment"), time(), angle, torque))
+    sidecar, notes = written(path)
+    assert sidecar["signals"]["force"]["channels"] == {"x": "?", "y": "?"}
+    assert any("a recording of one axis" in note and "servo in place of axes" in note for note in notes)

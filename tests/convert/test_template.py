@@ -114,6 +114,19 @@ def test_what_cannot_be_guessed_is_left_open_and_named_when_the_file_is_read(tmp
     assert_is_the_laboratory(import_recording([path]).recording)
 
 
+def test_two_channels_of_each_signal_are_two_axes_whatever_their_names(tmp_path):
+    path = tmp_path / "lab.csv"
+    names = ["trial", "t", "cmd_lr", "cmd_fb", "load_lr", "load_fb", "pos_lr", "pos_fb"]
+    path.write_text(as_text(as_laboratory(("s", "N", "mm")), names))
+    written = write_sidecar(path)
+    sidecar = json.loads(written.path.read_text())
+    assert "servo" not in sidecar
+    assert sidecar["signals"]["force"]["channels"] == {"x": "load_lr", "y": "load_fb"}
+    assert {f"signals.{name}.channels" for name in REQUIRED_SIGNALS} <= {*sidecar["guessed"]}
+    assert any("two channels that may hold it (cmd_lr and cmd_fb, " in note for note in written.notes)
+    assert f"move a mass of {MASS:g} kg" in written.notes[-1]
+
+
 def test_a_rate_that_is_given_closes_the_only_open_field(tmp_path):
     path = tmp_path / "lab.csv"
     path.write_text(as_text(table()[:, [0, 2, 3, 4, 5, 6, 7]], ["trial", "Dx", "Dy", "Fx", "Fy", "X", "Y"]))

@@ -24,7 +24,7 @@ from typing import Any
 
 from filelock import AcquireReturnProxy, FileLock, Timeout
 
-from armperturb.files import checksum, sync, write_whole
+from armperturb.files import PART, checksum, sync, write_whole
 
 MANIFEST = "manifest.json"
 RECORDINGS = "recordings"
@@ -130,7 +130,7 @@ def open_study(root: Path, manifest: Mapping[str, Any]) -> Iterator[StudyFolder]
     Raises:
       RuntimeError: another run holds the folder.
       ValueError: recordings in the folder were made with another manifest, which the message sets side by side, or
-        are of unknown origin; or the lock is a link.
+        are of unknown origin; the lock is a link; or the staging folder is not a study's.
       OSError: the folder cannot be written to.
     """
     made = (*reversed(root.parents), root, root / LOCK, root / MANIFEST, root / RECORDINGS)
@@ -146,7 +146,7 @@ def open_study(root: Path, manifest: Mapping[str, Any]) -> Iterator[StudyFolder]
                 (root / STAGING / HOLDER).write_text(holder, encoding="utf-8")
             yield StudyFolder(root)
         finally:
-            shutil.rmtree(root / STAGING, ignore_errors=True)
+            _remove_staging(root / STAGING)
             _remove_unused(root, new)
 
 
@@ -310,11 +310,32 @@ def _shown(value: Any) -> str:
 
 
 def _sweep(root: Path) -> None:
-    """Remove what a killed run has left half-written."""
-    shutil.rmtree(root / STAGING, ignore_errors=True)
+    """Remove what a killed run has left half-written.
+
+    Raises:
+      ValueError: the staging folder holds what no run has put there.
+    """
+    staging = root / STAGING
+    if staging.is_symlink() or (staging.is_dir() and any(staging.iterdir()) and not (staging / HOLDER).is_file()):
+        raise ValueError(f"{staging}: was not made by a study; expected another folder for the study (--out)")
+    _remove_staging(staging)
     for folder in (root, root / RECORDINGS):
         for path in folder.glob(".*.part"):
-            path.unlink(missing_ok=True)
+            if PART.fullmatch(path.name):
+                path.unlink(missing_ok=True)
+
+
+def _remove_staging(staging: Path) -> None:
+    """Remove a run's staging folder; what tells that it is one goes last, as this run may be killed meanwhile."""
+    if (staging / HOLDER).is_file():
+        for path in staging.iterdir():
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            elif path.name != HOLDER:
+                path.unlink(missing_ok=True)
+        (staging / HOLDER).unlink(missing_ok=True)
+    with suppress(OSError):
+        staging.rmdir()
 
 
 def _read_sums(path: Path) -> dict[str, str]:

@@ -182,9 +182,9 @@ def test_a_structure_without_the_reflex_lacks_fit(recording, result):
     assert any("leaves what a linear response explains" in remark for remark in without.remarks)
     assert joint_verdict(result).level == "trust"
     assert joint_verdict(without).level != "trust"
-    # As if a free model were no better: the lack of fit alone is reason for care.
+    # As if a free model were no better: so large a lack of fit alone is reason enough.
     alike = replace(without, free_model=replace(without.free_model, left_out_vaf=without.vaf["total"]))
-    assert joint_verdict(alike).level == "care"
+    assert joint_verdict(alike).level == "reject"
     assert "lack of fit over its degrees of freedom" in joint_verdict(alike).text
     assert joint_verdict(replace(without, free_model=None)).level == "reject"
 

@@ -193,11 +193,12 @@ def test_half_written_files_of_a_killed_run_go(tmp_path):
     with open_study(tmp_path, MANIFEST) as folder:
         keep(folder, "S01", b"one")
     left = [
-        tmp_path / ".manifest.json.x.part",
-        tmp_path / "recordings" / ".SHA256SUMS.y.part",
+        tmp_path / ".manifest.json.0123456789abcdef.part",
+        tmp_path / "recordings" / ".SHA256SUMS.fedcba9876543210.part",
         folder.staging / "S02.nc",
     ]
     folder.staging.mkdir()
+    (folder.staging / "run").write_text("process 1 on a computer")
     for path in left:
         path.write_bytes(b"half")
     with open_study(tmp_path, MANIFEST):
@@ -209,6 +210,18 @@ def test_half_written_files_of_a_killed_run_go(tmp_path):
         "manifest.json",
         "recordings",
     ]
+
+
+def test_hidden_files_that_no_study_made_stay(tmp_path):
+    (tmp_path / ".movie.mkv.part").write_text("mine")
+    with open_study(tmp_path, MANIFEST) as folder:
+        keep(folder, "S01", b"one")
+    assert (tmp_path / ".movie.mkv.part").read_text() == "mine"
+    folder.staging.mkdir()
+    (folder.staging / "notes").write_text("mine")
+    with pytest.raises(ValueError, match="was not made by a study"), open_study(tmp_path, MANIFEST):
+        pass
+    assert (folder.staging / "notes").read_text() == "mine"
 
 
 HOLDER = """
