@@ -363,8 +363,8 @@ def _remarks(
     lack = best.lack
     if lack.p_value < SUSPICIOUS:
         said.append(
-            f"the structure leaves what a linear response explains (chi2/dof = {lack.chi2 / lack.dof:.3g}): intervals "
-            "are too short"
+            f"the structure leaves what a linear response explains (chi2/dof = {lack.chi2 / lack.dof:.3g}): estimates "
+            "may be biased by more than their intervals say"
         )
     if free is not None:
         used = signals.used

@@ -2,10 +2,11 @@
 
 import copy
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import fields
-from typing import Any
+from types import NoneType
+from typing import Any, ClassVar
 
 import dm_env
 import numpy as np
@@ -20,7 +21,7 @@ from armperturb.envs.lab.trial import Trial
 from armperturb.envs.learning import participants
 from armperturb.envs.learning.dm import composer, mjcf, observable
 from armperturb.envs.learning.entities import Rig
-from armperturb.envs.learning.state import Turn
+from armperturb.envs.learning.state import Turn, Types, in_turn, require_open, require_state
 from armperturb.envs.learning.task import TaskSettings, task_settings
 from armperturb.models.rig import REFLEXES, start_motors
 
@@ -122,6 +123,10 @@ class ArmPerturbTask(composer.Task):
           TypeError: an option has the wrong type.
           ValueError: an option is unknown or out of its range, or the trial's subject has another body.
         """
+        self._require_choice(options)
+        self._options = options
+
+    def _require_choice(self, options: dict[str, Any]) -> None:
         trial = self.settings.drawing(options)(np.random.default_rng(0))
         needed, given = body_of(self.settings.subject), body_of(trial.subject)
         for field in fields(needed):
@@ -131,7 +136,21 @@ class ArmPerturbTask(composer.Task):
                     f"choose: trial has a subject with {field.name} = {value!r}; expected {expected!r}, "
                     "which the task's person has; for others, load an environment with the setting person"
                 )
-        self._options = options
+
+    def require_episode(self, options: dict[str, Any], actions: Iterable[ArrayLike]) -> None:
+        """Refuse what would be refused on the way through an episode.
+
+        Args:
+          options: as in `choose`.
+          actions: decisions of the agent.
+
+        Raises:
+          TypeError: an option or an action has the wrong type.
+          ValueError: `choose` refuses the options, or `before_step` an action.
+        """
+        self._require_choice(options)
+        for action in actions:
+            self._people.checked(self._people.lone(action))
 
     @property
     def chosen(self) -> dict[str, Any]:
@@ -184,7 +203,7 @@ class ArmPerturbTask(composer.Task):
           TypeError: the action is no array of numbers.
           ValueError: it has the wrong shape, or part of it is not finite, or out of its bounds where these are refused.
         """
-        changed, strength = self._people.decide(np.asarray(action)[np.newaxis])
+        changed, strength = self._people.decide(self._people.lone(action))
         if len(changed):
             self._people.control.set_strength(changed, strength)
             self._set_muscles(strength["k_groups"][0], strength["b_groups"][0])
@@ -226,10 +245,20 @@ class ArmPerturbDmEnv(composer.Environment):
     have led to, and nothing that was written into the physics by hand.
     """
 
+    STATE: ClassVar[Types] = {
+        "began": (tuple, NoneType),
+        "actions": list,
+        "random": (tuple, dict),
+        "next": dict,
+        "enabled": list,
+    }
+    """What a state holds beside the settings, and of which type."""
+
     def __init__(self, settings: TaskSettings, random_state: int | np.random.RandomState | None) -> None:
         """Make the environment; arguments and errors as in `load_dm_env`."""
-        self._turn = Turn()
-        self._began: tuple[Any, ...] | None = None
+        self._turn, self._closed = Turn(), False
+        # Generator, options and observables at the beginning of the episode; None before the first.
+        self._began: tuple[Any, dict[str, Any], list[str]] | None = None
         self._actions: list[Array] = []
         super().__init__(
             ArmPerturbTask(settings),
@@ -239,33 +268,65 @@ class ArmPerturbDmEnv(composer.Environment):
             delayed_observation_padding=composer.ObservationPadding.INITIAL_VALUE,
         )
 
+    @in_turn
     def reset(self) -> dm_env.TimeStep:
-        """Begin the next trial."""
-        self._began, self._actions = (self.random_state.get_state(), self.task.chosen), []
+        """Begin the next trial.
+
+        Raises:
+          RuntimeError: another thread is in here, or the environment is closed.
+        """
+        require_open(self._closed, "reset")
+        self._began, self._actions = (self.random_state.get_state(), self.task.chosen, self._enabled), []
         return super().reset()
 
+    @in_turn
     def step(self, action: ArrayLike) -> dm_env.TimeStep:
         """One decision; after the last one of a trial, the beginning of the next.
 
         Raises:
           TypeError: the action is no array of numbers.
           ValueError: it has the wrong shape, or part of it is refused.
-          RuntimeError: another thread is in here.
+          RuntimeError: another thread is in here, or the environment is closed.
         """
-        with self._turn:
-            taken = super().step(action)
+        require_open(self._closed, "step")
+        taken = super().step(action)
         if not taken.first():
             self._actions.append(np.array(action))
         return taken
 
-    def get_state(self) -> dict[str, Any]:
-        """All that trials to come depend on, and the rest of this one; it can be pickled."""
-        state = {"settings": self.task.settings, "began": self._began, "actions": self._actions}
-        enabled = [name for name, item in self.task.observables.items() if item.enabled]
-        return copy.deepcopy({**state, "random": self.random_state.get_state(), "next": self.task.chosen}) | {
-            "enabled": enabled
-        }
+    @in_turn
+    def close(self) -> None:
+        """Free the physics; a second time does nothing.
 
+        Raises:
+          RuntimeError: another thread is in here.
+        """
+        if not self._closed:
+            self._closed = True
+            super().close()
+
+    @property
+    def _enabled(self) -> list[str]:
+        """Names of the observables that are enabled; composer begins and ends to observe at the next reset."""
+        return [name for name, item in self.task.observables.items() if item.enabled]
+
+    @_enabled.setter
+    def _enabled(self, names: list[str]) -> None:
+        for name, item in self.task.observables.items():
+            item.enabled = name in names
+
+    @in_turn
+    def get_state(self) -> dict[str, Any]:
+        """All that trials to come depend on, and the rest of this one; it can be pickled.
+
+        Raises:
+          RuntimeError: another thread is in here.
+        """
+        state = {"settings": self.task.settings, "began": self._began, "actions": self._actions}
+        now = {"random": self.random_state.get_state(), "next": self.task.chosen, "enabled": self._enabled}
+        return copy.deepcopy({**state, **now})
+
+    @in_turn
     def set_state(self, state: dict[str, Any]) -> None:
         """Continue from a state, to the last bit as where it was saved.
 
@@ -274,20 +335,36 @@ class ArmPerturbDmEnv(composer.Environment):
 
         Raises:
           ValueError: it is of an environment of another kind or with other settings.
+          RuntimeError: another thread is in here, or the environment is closed.
         """
-        if not isinstance(state, dict) or "enabled" not in state or state["settings"] != self.task.settings:
-            raise ValueError("set_state: state of another environment; expected one of the same task and settings")
-        for name, item in self.task.observables.items():
-            item.enabled = name in state["enabled"]
-        if state["began"] is not None:
-            random, options = state["began"]
+        require_open(self._closed, "set_state")
+        self._require_state(state)
+        if state["began"] is None:
+            self._began, self._actions, self._reset_next_step = None, [], True
+        else:
+            random, options, self._enabled = state["began"]
             self.random_state.set_state(random)
             self.task.choose(**options)
             self.reset()
             for action in state["actions"]:
                 self.step(action)
+        self._enabled = state["enabled"]
         self.random_state.set_state(state["random"])
         self.task.choose(**state["next"])
+
+    def _require_state(self, state: dict[str, Any]) -> None:
+        """Refuse what a return to a state would stumble over on its way."""
+        require_state(type(self).__name__, state, {"settings": self.task.settings}, self.STATE)
+        try:
+            random, options, _ = state["began"] or (state["random"], {}, [])
+            for one in (random, state["random"]):
+                copy.deepcopy(self.random_state).set_state(one)
+            self.task.require_episode(options, state["actions"])
+            self.task.require_episode(state["next"], [])
+        except (LookupError, TypeError, ValueError) as error:
+            raise ValueError(
+                f"set_state: state that no step leads to ({error}); expected one from get_state"
+            ) from error
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _restored, (self.get_state(),)

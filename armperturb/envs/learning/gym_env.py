@@ -1,7 +1,11 @@
 """The gymnasium environment: one person in trials of a task, whose nervous system is the agent."""
 
+from collections import deque
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from numbers import Integral
+from types import NoneType
+from typing import Any, ClassVar, SupportsInt, TypeGuard
 
 import gymnasium as gym
 import numpy as np
@@ -9,13 +13,16 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.spaces import Box
 from numpy.typing import ArrayLike, NDArray
 
+from armperturb.arrays import Array
 from armperturb.envs.learning.participants import ONLY, action_bounds, observation_bounds, own_action
 from armperturb.envs.learning.session import Session
-from armperturb.envs.learning.state import Saved
+from armperturb.envs.learning.state import Saved, Turn, Types, in_turn, require_open
 from armperturb.envs.learning.task import TaskSettings, task_settings
+from armperturb.envs.render.camera import TRAIL
 from armperturb.envs.render.gl import has_display
 from armperturb.envs.render.live_view import LiveView, Moment
 from armperturb.envs.render.viewer import require_display
+from armperturb.subject import Subject
 from armperturb.validation import require_one_of, require_whole
 
 VIEWS = ("oblique", "top")
@@ -65,7 +72,14 @@ class ArmPerturbEnv(KnownLength, Saved, gym.Env):
       own_action: by which the person does the task as in the study, (action,).
     """
 
-    STATE = ("_session", "_running", "_np_random", "_np_random_seed", "_moment")
+    STATE: ClassVar[Types] = {
+        "_session": Session,
+        "_running": bool,
+        "_np_random": (np.random.Generator, NoneType),
+        "_np_random_seed": (int, NoneType),
+        "_subject": (Subject, NoneType),
+        "_watched": deque,
+    }
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 50}  # noqa: RUF012 - as gymnasium declares it
 
     def __init__(
@@ -98,13 +112,17 @@ class ArmPerturbEnv(KnownLength, Saved, gym.Env):
         # Only modes that work on this machine, as some tools try all of them.
         modes = [mode for mode in ArmPerturbEnv.metadata["render_modes"] if mode != "human" or has_display()]
         self.metadata = {"render_modes": modes, "render_fps": self.settings.control_rate}
-        self._live_view, self._moment = live_view(self.settings), Moment(1.0 / self.settings.control_rate)
+        self._live_view, self._closed = live_view(self.settings), False
         self._picture = checked_picture(view, width, height)
         self.observation_space, self.action_space = spaces(self.settings)
         self.own_action = own_action(self.settings).astype(np.float32)
         self._session = Session(self.settings, 1, n_threads=1)
-        self._running = False
+        self._running, self._turn = False, Turn()
+        self._subject: Subject | None = None
+        # What was to be seen lately, (8,) as in `WATCHED`: in any mode, as a state may go where pictures are drawn.
+        self._watched: deque[Array] = deque(maxlen=round(TRAIL * self.settings.control_rate) + 1)
 
+    @in_turn
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
@@ -118,17 +136,22 @@ class ArmPerturbEnv(KnownLength, Saved, gym.Env):
           Observation and info, see `Session.truth`.
 
         Raises:
-          TypeError: an option has the wrong type.
+          TypeError: the seed is no whole number, or an option has the wrong type.
           ValueError: an option is unknown or out of its range.
+          RuntimeError: another thread is in here, or the window that shows the trials was closed.
         """
+        self._require_window("reset")
+        if seed is not None and not is_whole(seed):
+            raise TypeError(f"reset: seed = {seed!r}; expected a whole number")
         draw = self.settings.drawing(options)  # first, so that refused options change nothing
-        super().reset(seed=seed)
+        super().reset(seed=None if seed is None else int(seed))  # gymnasium knows Python's numbers only
         trial = draw(self.np_random)
         self._session.start(ONLY, [trial])
-        self._running = True
-        self._moment.begin(trial.subject)
+        self._running, self._subject = True, trial.subject
+        self._watched.clear()
         return self._session.people.observe()[0], self._watched_info()
 
+    @in_turn
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """One decision.
 
@@ -139,13 +162,14 @@ class ArmPerturbEnv(KnownLength, Saved, gym.Env):
           Observation, reward, whether the handle reached the limit of the workspace, whether the trial is over, info.
 
         Raises:
-          RuntimeError: there is no trial, or it is over.
+          RuntimeError: there is no trial, or it is over; another thread is in here; or the window was closed.
           TypeError: the action is no array of numbers.
           ValueError: it has the wrong shape, or part of it is not finite, or out of its bounds where these are refused.
         """
+        self._require_window("step")
         if not self._running:
             raise RuntimeError("step: the trial is over, or none has begun; expected reset first")
-        (reward,), (terminated,), (truncated,) = self._session.step(np.asarray(action)[np.newaxis])
+        (reward,), (terminated,), (truncated,) = self._session.step(self._session.people.lone(action))
         self._running = not (terminated or truncated)
         observation, info = self._session.people.observe()[0], self._watched_info()
         return observation, float(reward), bool(terminated), bool(truncated), info
@@ -154,25 +178,56 @@ class ArmPerturbEnv(KnownLength, Saved, gym.Env):
         """A picture of this moment, (height, width, 3), in the mode "rgb_array"; a window shows each by itself.
 
         Raises:
-          RuntimeError: no trial has begun, or this machine cannot draw; the message names what to install.
+          RuntimeError: no trial has begun, the environment is closed, or this machine cannot draw; the message then
+            names what to install.
         """
         if self.render_mode != "rgb_array":
             return None
-        if self._moment.subject is None:
-            raise RuntimeError("render: no trial has begun; expected reset first")
-        return self._live_view.picture(self._moment, *self._picture)
+        require_open(self._closed, "render")
+        return self._live_view.picture(self._moment(), *self._picture)
 
     def close(self) -> None:
         """Close what rendering opened; a second time does nothing."""
+        self._closed = True
         self._live_view.close()
 
+    def _require_window(self, doing: str) -> None:
+        require_open(self._closed and self.render_mode == "human", doing)
+
     def _watched_info(self) -> dict[str, Any]:
-        info: dict[str, Any] = {name: values[0] for name, values in self._session.truth().items()}
-        if self.render_mode is not None:
-            self._moment.update(*(info[name].copy() for name in WATCHED))
-            if self.render_mode == "human":
-                self._live_view.show(self._moment)
-        return {name: value if value.ndim else value.item() for name, value in info.items()}
+        truth = self._session.truth()
+        self._watched.append(np.concatenate([truth[name][0] for name in WATCHED]))
+        if self.render_mode == "human":
+            self._live_view.show(self._moment())
+        return {name: values[0] if values.ndim > 1 else values.item() for name, values in truth.items()}
+
+    def _moment(self) -> Moment:
+        return moment(self.settings, self._subject, list(self._watched))
+
+
+def moment(settings: TaskSettings, subject: Subject | None, watched: Sequence[Array]) -> Moment:
+    """What shows of a person now.
+
+    Args:
+      settings: the task.
+      subject: the person; None before the first trial.
+      watched: what was to be seen up to now, the oldest first, (8,) each, as in `WATCHED`.
+
+    Raises:
+      RuntimeError: no trial has begun.
+    """
+    if subject is None:
+        raise RuntimeError("render: no trial has begun; expected reset first")
+    now = Moment(1.0 / settings.control_rate)
+    now.begin(subject)
+    now.trail.extend(one[2:4] for one in watched[:-1])
+    now.update(*watched[-1].reshape(len(WATCHED), 2))
+    return now
+
+
+def is_whole(seed: object) -> TypeGuard[SupportsInt]:
+    """Whether a seed is a whole number, Python's or NumPy's."""
+    return isinstance(seed, Integral) and not isinstance(seed, bool)
 
 
 def live_view(settings: TaskSettings) -> LiveView:

@@ -1,8 +1,7 @@
 """The vectorised gymnasium environment: many people on one batch, each the same to the last bit as alone."""
 
 from collections.abc import Mapping, Sequence
-from numbers import Integral
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from gymnasium.utils import seeding
@@ -12,12 +11,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from armperturb.arrays import Array, Flags, Indices
 from armperturb.envs.lab.trial import Trial
-from armperturb.envs.learning.gym_env import WATCHED, ArmPerturbEnv, KnownLength, checked_picture, live_view, spaces
-from armperturb.envs.learning.participants import own_action
+from armperturb.envs.learning.gym_env import (
+    WATCHED,
+    ArmPerturbEnv,
+    KnownLength,
+    checked_picture,
+    is_whole,
+    live_view,
+    moment,
+    spaces,
+)
+from armperturb.envs.learning.participants import as_array, own_action
 from armperturb.envs.learning.session import Session
-from armperturb.envs.learning.state import Saved
+from armperturb.envs.learning.state import Saved, Turn, Types, in_turn, require_open
 from armperturb.envs.learning.task import task_settings
-from armperturb.envs.render.live_view import Moment
 from armperturb.validation import require_number, require_one_of, require_whole
 
 
@@ -31,7 +38,14 @@ class ArmPerturbVectorEnv(KnownLength, Saved, VectorEnv):
       own_action: by which the person does the task as in the study, (action,).
     """
 
-    STATE = ("_session", "_subjects", "_streams", "_over", "_decisions")
+    FIXED = ("settings", "num_envs", "autoreset_mode", "max_episode_steps")
+    STATE: ClassVar[Types] = {
+        "_session": Session,
+        "_subjects": list,
+        "_streams": list,
+        "_over": np.ndarray,
+        "_decisions": np.ndarray,
+    }
     metadata: dict[str, Any] = dict(ArmPerturbEnv.metadata)  # noqa: RUF012 - as gymnasium declares it
 
     def __init__(
@@ -90,7 +104,9 @@ class ArmPerturbVectorEnv(KnownLength, Saved, VectorEnv):
         self._streams: list[np.random.Generator | None] = [None] * num_envs
         self._over = np.ones(num_envs, dtype=bool)  # no trial has begun
         self._decisions = np.zeros(num_envs, dtype=int)
+        self._turn = Turn()
 
+    @in_turn
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
@@ -109,11 +125,13 @@ class ArmPerturbVectorEnv(KnownLength, Saved, VectorEnv):
         Raises:
           TypeError: an option has the wrong type.
           ValueError: an option is unknown or out of its range, or there are not as many seeds as people.
+          RuntimeError: another thread is in here.
         """
         seeds = self._seeds(seed)
         everybody = np.ones(self.num_envs, dtype=bool)
-        mask = np.asarray(options.get("reset_mask", everybody) if isinstance(options, Mapping) else everybody)
+        mask = everybody
         if isinstance(options, Mapping):
+            mask = as_array("reset: reset_mask", options.get("reset_mask", everybody))
             options = {key: value for key, value in options.items() if key != "reset_mask"}
         if mask.dtype != bool or mask.shape != (self.num_envs,) or not mask.any():
             raise ValueError(
@@ -133,6 +151,7 @@ class ArmPerturbVectorEnv(KnownLength, Saved, VectorEnv):
             self._streams[i] = stream
         return self._session.people.observe(), self._infos(mask)
 
+    @in_turn
     def step(self, actions: ArrayLike) -> tuple[NDArray[np.float32], Array, Flags, Flags, dict[str, Any]]:
         """One decision of everybody.
 
@@ -144,7 +163,7 @@ class ArmPerturbVectorEnv(KnownLength, Saved, VectorEnv):
           step, in the mode NEXT_STEP, gets its first observation and no reward.
 
         Raises:
-          RuntimeError: a person has no trial, or one that is over in the mode DISABLED.
+          RuntimeError: a person has no trial, or one that is over in the mode DISABLED; or another thread is in here.
           TypeError: actions are no numbers.
           ValueError: they have the wrong shape, or one of them is not finite, or refused.
         """
@@ -172,19 +191,20 @@ class ArmPerturbVectorEnv(KnownLength, Saved, VectorEnv):
         """Pictures of everybody at this moment, (height, width, 3) each, in the mode "rgb_array"; without the path.
 
         Raises:
-          RuntimeError: no trial has begun, or this machine cannot draw; the message names what to install.
+          RuntimeError: no trial has begun, the environment is closed, or this machine cannot draw; the message then
+            names what to install.
         """
         if self.render_mode is None:
             return None
-        if None in self._streams:
-            raise RuntimeError("render: no trial has begun; expected reset first")
-        truth, pictures = self._session.truth(), []
-        for i, subject in enumerate(self._subjects):
-            moment = Moment(1.0 / self.settings.control_rate)
-            moment.begin(subject)
-            moment.update(*(truth[name][i] for name in WATCHED))
-            pictures.append(self._live_view.picture(moment, *self._picture))
-        return tuple(pictures)
+        require_open(self.closed, "render")
+        begun = None not in self._streams
+        truth = self._session.truth()
+        watched = np.concatenate([truth[name] for name in WATCHED], axis=1)
+        moments = [
+            moment(self.settings, subject if begun else None, [now])
+            for subject, now in zip(self._subjects, watched, strict=True)
+        ]
+        return tuple(self._live_view.picture(one, *self._picture) for one in moments)
 
     def close_extras(self, **_: Any) -> None:
         """Close what rendering opened."""
@@ -194,13 +214,11 @@ class ArmPerturbVectorEnv(KnownLength, Saved, VectorEnv):
         """One seed for each person; None goes on with what there is."""
         if seed is None:
             return [None] * self.num_envs
-        if isinstance(seed, Integral) and not isinstance(seed, bool):
+        if is_whole(seed):
             return [int(seed) + i for i in range(self.num_envs)]
         if isinstance(seed, np.ndarray):
             seed = seed.tolist()
-        if not isinstance(seed, list | tuple) or not all(
-            number is None or (isinstance(number, Integral) and not isinstance(number, bool)) for number in seed
-        ):
+        if not isinstance(seed, list | tuple) or not all(number is None or is_whole(number) for number in seed):
             raise TypeError(f"reset: seed = {seed!r}; expected a whole number, or one (or None) for each environment")
         if len(seed) != self.num_envs:
             raise ValueError(f"reset: {len(seed)} seeds; expected {self.num_envs}, one for each environment")

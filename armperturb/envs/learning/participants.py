@@ -81,6 +81,22 @@ def observation_bounds(settings: TaskSettings) -> Array:
     return SENSE_LIMITS * np.append(np.ones(6), [max(settings.visual_gain, 1e-3)] * 2)
 
 
+def as_array(name: str, values: ArrayLike) -> NDArray:
+    """Values that a caller gave.
+
+    Args:
+      name: what they are, for the message.
+      values: of equally long rows, whatever their type.
+
+    Raises:
+      ValueError: rows differ in length.
+    """
+    try:
+        return np.asarray(values)
+    except ValueError:
+        raise ValueError(f"{name} has rows of different lengths; expected equally long ones") from None
+
+
 class Participants:
     """n people in trials of a task, apart from their physics; arrays have the person as first axis.
 
@@ -191,6 +207,15 @@ class Participants:
             self._known = np.concatenate([self._known, np.zeros((n, n_rows, len(KNOWN)))], axis=1)
             self._recorded = np.concatenate([self._recorded, np.zeros((n, missing, 2))], axis=1)
 
+    def lone(self, action: ArrayLike) -> NDArray:
+        """A single person's action, (action,), as `decide` takes it, (1, action).
+
+        Raises:
+          TypeError: the action is no array of numbers.
+          ValueError: it has the wrong shape.
+        """
+        return self._shaped(action, (len(self._names),))[np.newaxis]
+
     def decide(self, actions: ArrayLike) -> tuple[Indices, Strength]:
         """Take everybody's action for the steps up to the next decision.
 
@@ -204,7 +229,7 @@ class Participants:
           TypeError: actions are no numbers.
           ValueError: they have the wrong shape, or one of them is not finite, or refused.
         """
-        actions = self._checked(actions)
+        actions = self.checked(actions)
         settings = self.settings
         before = self.levels.copy()
         column = {"groups": 3, "common": 1, "off": 0}[settings.co_contraction]
@@ -238,18 +263,17 @@ class Participants:
         rows = self.step[people, None] + first + np.arange(n_samples)
         return self._known[people[:, None], np.minimum(rows, self._known.shape[1] - 1)]
 
-    def _checked(self, actions: ArrayLike) -> Array:
-        values = np.asarray(actions)
+    def _shaped(self, actions: ArrayLike, shape: tuple[int, ...]) -> NDArray:
+        values = as_array("action", actions)
         if values.dtype.kind not in "fiub":
             raise TypeError(f"action of type {values.dtype}; expected numbers")
-        shape = len(self.everybody), len(self._names)
         if values.shape != shape:
-            first = int(
-                len(shape) == values.ndim and len(values) == len(self.everybody) == 1
-            )  # that of a single person
-            given, expected = values.shape[first:], shape[first:]
-            raise ValueError(f"action of shape {given}; expected {expected}: {', '.join(self._names)}")
-        values = values.astype(float)
+            raise ValueError(f"action of shape {values.shape}; expected {shape}: {', '.join(self._names)}")
+        return values
+
+    def checked(self, actions: ArrayLike) -> Array:
+        """Everybody's actions within their bounds; arguments and errors as in `decide`."""
+        values = self._shaped(actions, (len(self.everybody), len(self._names))).astype(float)
         good = np.isfinite(values)
         if self.settings.out_of_bounds == "refuse":
             good &= (values >= self._low) & (values <= self._high)

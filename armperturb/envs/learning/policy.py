@@ -23,8 +23,15 @@ class Policy:
     layers: tuple[Array, ...]
 
     def __call__(self, observation: ArrayLike) -> NDArray[np.float32]:
-        """Actions for observations, (..., action) of (..., observation); the environment clips them to their range."""
+        """Actions for observations, (..., action) of (..., observation); the environment clips them to their range.
+
+        Raises:
+          ValueError: an observation has another length.
+        """
         values = np.asarray(observation, dtype=float)
+        size = self.layers[0].shape[1] - 1
+        if values.shape[-1:] != (size,):
+            raise ValueError(f"observation of shape {values.shape}; expected (..., {size})")
         for layer in self.layers[:-1]:
             values = np.tanh(values @ layer[:, :-1].T + layer[:, -1])
         return np.asarray(values @ self.layers[-1][:, :-1].T + self.layers[-1][:, -1], dtype=np.float32)

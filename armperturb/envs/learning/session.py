@@ -11,7 +11,6 @@ from armperturb.envs.lab.simulation import Simulation, silent_simulator
 from armperturb.envs.lab.stepping import ANGLE, FORCE, HANDLE, VELOCITY
 from armperturb.envs.lab.trial import Trial
 from armperturb.envs.learning.participants import START, Participants
-from armperturb.envs.learning.state import Turn
 from armperturb.envs.learning.task import TaskSettings
 from armperturb.models.rig import history_length
 
@@ -37,7 +36,6 @@ class Session:
         )
         self.people = Participants(settings, self.simulation.control)
         self._diverged = np.zeros(n, dtype=bool)
-        self._turn = Turn()
 
     def start(self, people: Indices, trials: Sequence[Trial]) -> None:
         """Begin trials at rest; nothing is left of those before.
@@ -45,14 +43,10 @@ class Session:
         Args:
           people: indices of those whose trials begin, in rising order.
           trials: one for each of them.
-
-        Raises:
-          RuntimeError: another thread is in here.
         """
-        with self._turn:
-            self.simulation.replace(people, self.people.start(people, trials))
-            self.simulation.start(people, self.people.known(people, 0, START))
-            self._diverged[people] = False
+        self.simulation.replace(people, self.people.start(people, trials))
+        self.simulation.start(people, self.people.known(people, 0, START))
+        self._diverged[people] = False
 
     def step(self, actions: ArrayLike) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
         """Everybody's next decision and what follows; see `Participants.decide` and `judge`.
@@ -66,12 +60,7 @@ class Session:
         Raises:
           TypeError: actions are no numbers.
           ValueError: they have the wrong shape, or one of them is refused.
-          RuntimeError: another thread is in here.
         """
-        with self._turn:
-            return self._step(actions)
-
-    def _step(self, actions: ArrayLike) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
         people, simulation = self.people, self.simulation
         changed, strength = people.decide(actions)
         if len(changed):

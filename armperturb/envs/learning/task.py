@@ -128,6 +128,9 @@ class TaskSettings:
 
     def __post_init__(self) -> None:
         owner = "TaskSettings"
+        for name in ("rms", "peak", "directions_deg", "onset_window", "sense_scales"):
+            if isinstance(getattr(self, name), list):  # the caller's, who may change it
+                object.__setattr__(self, name, tuple(getattr(self, name)))
         require_one_of(owner, "task", self.task, TASKS)
         require_one_of(owner, "perturbation", self.perturbation, PERTURBATIONS)
         require_one_of(owner, "engine", self.engine, ENGINES)
@@ -135,7 +138,7 @@ class TaskSettings:
         require_one_of(owner, "out_of_bounds", self.out_of_bounds, OUT_OF_BOUNDS)
         require_one_of(owner, "senses", self.senses, SENSES)
         require_one_of(owner, "reward", self.reward, REWARDS)
-        if not isinstance(self.sense_scales, tuple | list) or len(self.sense_scales) != 4:
+        if not isinstance(self.sense_scales, tuple) or len(self.sense_scales) != 4:
             raise TypeError(f"{owner}: sense_scales = {self.sense_scales!r}; expected four numbers")
         for value in self.sense_scales:
             require_number(owner, "sense_scales", value, above=0.0, at_most=LARGEST)
@@ -162,7 +165,7 @@ class TaskSettings:
         if "pulse" in self.perturbation:
             require_number(owner, "duration with a pulse", self.duration, above=Pulse.width)
         window = self.onsets
-        if not isinstance(window, tuple | list) or len(window) != 2:
+        if not isinstance(window, tuple) or len(window) != 2:
             raise TypeError(f"{owner}: onset_window = {window!r}; expected the earliest and the latest onset [s]")
         for value in window:
             require_number(owner, "onset_window", value, at_least=0.0)
@@ -327,7 +330,7 @@ def _realisation(number: int) -> Multisine:
 
 def _choices(name: str, choices: object) -> tuple[Any, ...]:
     """The numbers to choose from, of one or several."""
-    values = choices if isinstance(choices, tuple | list) else (choices,)
+    values = choices if isinstance(choices, tuple) else (choices,)
     if not values:
         raise ValueError(f"TaskSettings: {name} = {choices!r}; expected at least one number")
     return tuple(values)

@@ -1,5 +1,6 @@
 """Analyses the recordings in a study folder; results that were kept there by an earlier call are used again."""
 
+import itertools
 import os
 import shlex
 from collections import Counter
@@ -68,7 +69,7 @@ def run_study(
 
 
 def analyse_study(
-    root: Path,
+    root: str | Path,
     *,
     workers: int | None = None,
     nonlinear: Collection[str] = (),
@@ -97,6 +98,7 @@ def analyse_study(
       OSError: the folder holds no recording, or a file cannot be read.
     """
     require_workers("analysis", workers)
+    root = Path(root)
     require_own_results(root)
     study, missing = _Study.find(root, settings or AnalysisSettings())
     with workers_for(worker_count(workers, len(study.paths)), None, [__name__]) as pool:
@@ -226,10 +228,12 @@ class _Study:
         ]
         results = zip(self.paths, kept_or_computed(units, pool, bar), strict=True)
         people = dict(sorted(results, key=lambda item: item[1].measures.name))
-        names = [person.measures.name for person in people.values()]
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"{names.count(name)} recordings are of subject {name!r}; expected one per person")
+        for (path, one), (other, another) in itertools.combinations(people.items(), 2):
+            name = one.measures.name
+            if name == another.measures.name:
+                raise ValueError(f"{path} and {other.name} are of subject {name!r}; expected one recording per person")
+            if one.measures.cells and one.measures.cells == another.measures.cells:
+                raise ValueError(f"{path} and {other.name} hold the same trials; expected one recording per person")
         return people
 
     def together(

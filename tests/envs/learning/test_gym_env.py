@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import re
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -493,6 +494,18 @@ def test_bad_settings_are_refused(settings, error, message):
         vectorised(2, **settings)
 
 
+def test_settings_are_not_the_callers_lists():
+    forces, window, scales = [5.4], [0.1, 0.2], [0.02, 0.2, 5.0, 0.005]
+    given = {"rms": forces, "peak": [20.0], "directions_deg": [0.0, 90.0]}
+    env = made(**given, onset_window=window, sense_scales=scales, duration=0.6)
+    settings = TaskSettings(**given, onset_window=window, sense_scales=scales, duration=0.6)
+    for values in (forces, window, scales):
+        values.append(100.0)
+    assert env.settings == settings
+    assert settings.rms == (5.4,)
+    assert hash(settings) == hash(env.settings)
+
+
 @pytest.mark.parametrize(
     ("column", "value", "message"),
     [
@@ -540,6 +553,17 @@ def test_actions_of_another_shape_or_kind_are_refused():
         env.step(np.zeros(3))
     with pytest.raises(TypeError, match="action of type <U1; expected numbers"):
         env.step(np.array(["a"] * 11))
+    with pytest.raises(ValueError, match=r"action of shape \(1, 11\); expected \(11,\)"):
+        env.step(np.zeros((1, 11)))
+    with pytest.raises(ValueError, match=r"^action has rows of different lengths"):
+        env.step([[0.0], [0.0, 1.0]])
+    envs = vectorised(1, **SHORT)
+    envs.reset(seed=0)
+    for shape in ((11,), (1, 3), (1, 1, 11)):
+        with pytest.raises(
+            ValueError, match=f"action of shape {re.escape(str(shape))}; expected {re.escape('(1, 11)')}"
+        ):
+            envs.step(np.zeros(shape))
 
 
 @pytest.mark.parametrize(
@@ -639,6 +663,8 @@ def test_seeds_and_masks_must_fit():
         envs.reset(seed=[1, 2])
     with pytest.raises(ValueError, match="reset_mask of type bool and shape"):
         envs.reset(options={"reset_mask": np.array([True])})
+    with pytest.raises(ValueError, match=r"^reset: reset_mask has rows of different lengths"):
+        envs.reset(options={"reset_mask": [[True], [True, False], True]})
 
 
 @pytest.mark.parametrize(
@@ -665,9 +691,15 @@ def test_bad_numbers_of_people_are_refused(settings, error, message):
 def test_odd_seeds_are_refused(seed):
     with pytest.raises(TypeError, match="expected a whole number, or one"):
         vectorised(2, **SHORT).reset(seed=seed)
+    if not isinstance(seed, list):
+        with pytest.raises(TypeError, match=f"seed = {re.escape(repr(seed))}; expected a whole number"):
+            made(**SHORT).reset(seed=seed)
 
 
 def test_seeds_may_be_numpys():
+    env = made(**SHORT)
+    np.testing.assert_array_equal(env.reset(seed=np.int64(3))[1]["perturbation"], env.reset(seed=3)[1]["perturbation"])
+    assert env.np_random_seed == 3
     envs = vectorised(2, **SHORT)
     plain = envs.reset(seed=3)[1]["perturbation"]
     for seed in (np.int64(3), np.array([3, 4]), (3, 4)):
@@ -693,11 +725,29 @@ def test_pictures_show_the_handle_moving():
     assert (before != after).any()
     env.close()
     env.close()
+    env.step(env.own_action)  # which needs nothing that was closed
     envs = vectorised(2, render_mode="rgb_array", width=64, height=48, **SHORT)
     envs.reset(seed=0)
     pictures = envs.render()
     assert [picture.shape for picture in pictures] == [(48, 64, 3)] * 2
     envs.close()
+    for closed in (env, envs):
+        with pytest.raises(RuntimeError, match="render: the environment is closed; expected one that is open"):
+            closed.render()
+
+
+def test_no_window_opens_after_close(monkeypatch):
+    monkeypatch.setattr("armperturb.envs.learning.gym_env.require_display", lambda: None)
+    shown = []
+    env = made(render_mode="human", **SHORT)
+    monkeypatch.setattr(env._live_view, "show", shown.append)
+    env.reset(seed=0)
+    env.step(env.own_action)
+    env.close()
+    for name, call in (("step", lambda: env.step(env.own_action)), ("reset", env.reset)):
+        with pytest.raises(RuntimeError, match=f"{name}: the environment is closed"):
+            call()
+    assert [len(moment.trail) for moment in shown] == [1, 2]
 
 
 def test_a_window_needs_a_display(monkeypatch):

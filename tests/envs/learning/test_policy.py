@@ -25,6 +25,12 @@ def test_layers_follow_each_other_through_hyperbolic_tangents():
     np.testing.assert_allclose(Policy((hidden, last))([0.7]), [expected], rtol=1e-6)
 
 
+@pytest.mark.parametrize("observation", [np.zeros(3), np.zeros((2, 3)), 1.0])
+def test_observations_of_another_length_are_refused(observation):
+    with pytest.raises(ValueError, match=r"observation of shape \(.*\); expected \(\.\.\., 8\)"):
+        ap.trained_policy("ArmPerturb/Position-v1")(observation)
+
+
 def test_an_unknown_environment_is_refused():
     with pytest.raises(ValueError, match=r"name = 'CartPole-v1'; expected one of ArmPerturb/Position-v1, .*Pulse-v1"):
         ap.trained_policy("CartPole-v1")

@@ -98,9 +98,27 @@ def test_a_pickle_goes_on_in_another_process(tmp_path):
 @pytest.mark.parametrize("make", [single, several])
 def test_states_of_other_environments_are_refused(make):
     env, other = make().unwrapped, make(visual_gain=2.0).unwrapped
-    for state in (other.get_state(), {}, None, "state"):
+    env.reset(seed=0)
+    state = env.get_state()
+    for bad in (other.get_state(), {}, None, "state", {name: state[name] for name in list(state)[:-1]}):
         with pytest.raises(ValueError, match="state of another environment"):
-            env.set_state(state)
+            env.set_state(bad)
+    with pytest.raises(ValueError, match="state with _session of type NoneType; expected one from get_state"):
+        env.set_state({**state, "_session": None})
+    env.step(actions_of(env, 1)[0])
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"n": 2}, "num_envs = 2; expected 3"),
+        ({"autoreset_mode": "Disabled"}, "autoreset_mode = AutoresetMode.DISABLED; expected AutoresetMode.NEXT_STEP"),
+        ({"max_episode_steps": 5}, "max_episode_steps = 5; expected None"),
+    ],
+)
+def test_states_of_other_vectors_are_refused(settings, message):
+    with pytest.raises(ValueError, match=f"set_state: state of an environment with {message}"):
+        several().set_state(several(**settings).get_state())
 
 
 def rewards_of(envs, queue):
@@ -128,21 +146,29 @@ def test_a_forked_child_goes_on_with_its_parents_vector():
 def test_two_threads_in_one_environment_are_refused(make, monkeypatch):
     env = make()
     env.reset(seed=0)
-    session = env.unwrapped._session
-    inside, proceed, advance = threading.Event(), threading.Event(), session.simulation.advance
+    plain = env.unwrapped
+    simulation, state = plain._session.simulation, plain.get_state()
+    inside, proceed, advance = threading.Event(), threading.Event(), simulation.advance
 
     def wait(known):
         inside.set()
         assert proceed.wait(60)
         advance(known)
 
-    monkeypatch.setattr(session.simulation, "advance", wait)
+    monkeypatch.setattr(simulation, "advance", wait)
     action = np.zeros(env.action_space.shape, dtype=np.float32)
     thread = threading.Thread(target=env.step, args=(action,))
     thread.start()
     assert inside.wait(60)
     try:
-        for call in (lambda: env.step(action), env.reset, env.unwrapped.get_state):
+        for call in (
+            lambda: env.step(action),
+            env.reset,
+            plain.get_state,
+            lambda: plain.set_state(state),
+            lambda: copy.deepcopy(plain),
+            lambda: pickle.dumps(plain),
+        ):
             with pytest.raises(RuntimeError, match="another thread is using this environment"):
                 call()
     finally:
@@ -150,3 +176,48 @@ def test_two_threads_in_one_environment_are_refused(make, monkeypatch):
         thread.join()
     monkeypatch.undo()
     env.step(action)
+
+
+class Intruder:
+    """Part of an environment that has another thread step the latter when it is copied."""
+
+    def __init__(self, env):
+        self.env, self.errors = env, []
+
+    def __reduce__(self):
+        def step():
+            try:
+                self.env.step(np.zeros(self.env.action_space.shape))
+            except RuntimeError as error:
+                self.errors.append(error)
+
+        thread = threading.Thread(target=step)
+        thread.start()
+        thread.join()
+        return str, ()
+
+
+@pytest.mark.parametrize("make", [single, several])
+@pytest.mark.parametrize("take", [copy.deepcopy, pickle.dumps, lambda env: env.get_state()])
+def test_no_thread_steps_what_is_being_copied(make, take):
+    env = make(engine="compiled").unwrapped
+    env.reset(seed=0)
+    env._session.intruder = intruder = Intruder(env)
+    take(env)
+    assert [str(error)[:40] for error in intruder.errors] == ["another thread is using this environment"]
+    env.step(np.zeros(env.action_space.shape))
+
+
+@pytest.mark.slow(reason="draws pictures")
+def test_a_state_has_the_same_picture_wherever_it_goes():
+    size = {"width": 64, "height": 48}
+    blind, seeing, another = single(), single(render_mode="rgb_array", **size), single(render_mode="rgb_array", **size)
+    for env in (blind, seeing):
+        env.reset(seed=3)
+        for action in actions_of(env, 12):
+            env.step(action)
+    another.reset(seed=8)
+    another.unwrapped.set_state(blind.unwrapped.get_state())
+    np.testing.assert_array_equal(another.render(), seeing.render())
+    for env in (seeing, another):
+        env.close()

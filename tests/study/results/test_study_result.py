@@ -374,11 +374,22 @@ def test_bad_numbers_of_workers_are_refused(folder):
         analyse_study(folder, workers="two")
 
 
+def test_a_folder_may_be_given_as_text(tmp_path):
+    with pytest.raises(OSError, match="expected the folder of a study"):
+        analyse_study(str(tmp_path), show_progress=False)
+
+
 def test_a_person_in_two_files_is_refused_by_name(study, tmp_path, monkeypatch):
     monkeypatch.setattr(person, "identify_person", lambda *_: ())  # takes seconds
     (tmp_path / "recordings").mkdir()
     recording = study.of("PT7.5")[0].recording
     for name in ("A.nc", "B.nc"):
         (tmp_path / "recordings" / name).symlink_to(recording)
-    with pytest.raises(ValueError, match="2 recordings are of subject 'S01'; expected one per person"):
+    with pytest.raises(ValueError, match=r"A.nc and B.nc are of subject 'S01'; expected one recording per person"):
+        analysed(tmp_path, replace(FEW_FITS, structures=()))
+    (tmp_path / "recordings" / "B.nc").unlink()
+    renamed = load_recording(recording)
+    save_recording(renamed.assign_coords(subject=("trial", ["S07"] * renamed.sizes["trial"])), tmp_path / "B.nc")
+    (tmp_path / "B.nc").rename(tmp_path / "recordings" / "B.nc")
+    with pytest.raises(ValueError, match=r"A.nc and B.nc hold the same trials; expected one recording per person"):
         analysed(tmp_path, replace(FEW_FITS, structures=()))
