@@ -13,7 +13,7 @@ from armperturb.environment import Environment
 from armperturb.files import packaged_table
 from armperturb.seeds import random_stream
 from armperturb.subject import HUMERUS_MASS_SHARE, POSITION, PRESETS, RELAX, TASKS, Subject, at_level
-from armperturb.validation import require_number, require_one_of, require_ranges
+from armperturb.validation import require_name, require_number, require_one_of, require_ranges
 
 SPREAD = packaged_table(__package__, "spread.toml")
 """Standard deviation over the thesis's subjects of each parameter of a preset, SI."""
@@ -93,8 +93,9 @@ class Person:
         subject's own [-], > 0; 1 in conditions that are not named.
 
     Raises:
-      TypeError: a value is not a number.
-      ValueError: a value is out of its range, or a subject belongs to another task than its key.
+      TypeError: a value is not a number, or name no text.
+      ValueError: a value is out of its range, name cannot be printed on one line, or a subject belongs to another task
+        than its key.
     """
 
     name: str
@@ -104,6 +105,7 @@ class Person:
     levels: Mapping[str, float] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
+        require_name("Person", "name", self.name)
         require_ranges("Person", self)
         for task, subject in self.subjects.items():
             if subject.task != task:

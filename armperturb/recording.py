@@ -32,7 +32,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from armperturb.files import packaged_table
-from armperturb.validation import require_name, require_one_of
+from armperturb.validation import as_list, require_name, require_one_of, require_type
 
 _TABLES = packaged_table(__package__, "recording.toml")
 
@@ -107,6 +107,9 @@ TRIAL_COORDINATES: Mapping[str, tuple[str, str]] = {name: tuple(row) for name, r
 
 OPTIONAL_COORDINATES = ("order",)
 """Those of `TRIAL_COORDINATES` that a recording may lack."""
+
+EXPECTED = "a Dataset as load_recording or import_recording(...).recording give it"
+"""What a recording is, for messages."""
 
 TEXT_COORDINATES = ("subject", "task", "condition")
 
@@ -224,6 +227,21 @@ def join_recordings(
     Raises:
       ValueError: rates, durations, axes, units or servos differ.
     """
+    _require_alike(recordings, source)
+    signals = [*required_signals(recordings[0].attrs.get("servo"))]
+    for name in optional:
+        clock, parts = SIGNALS[name][0][0], [each[name] for each in recordings if name in each.data_vars]
+        alike = [part.attrs == parts[0].attrs and part[clock].equals(parts[0][clock]) for part in parts]
+        signals += [name] if sum(alike) == len(recordings) else []
+    partial = [name for name in OPTIONAL_COORDINATES if not all(name in recording.coords for recording in recordings)]
+    joined = _stacked([recording[signals].drop_vars(partial, errors="ignore") for recording in recordings])
+    there = [[*recording.variables, *recording.attrs] for recording in recordings]
+    left = {*joined.variables, *joined.attrs, *LABELS, "muscle", *CLOCKS, *CLOCKS.values()}
+    return Joined(joined, tuple(dict.fromkeys(str(name) for names in there for name in names if name not in left)))
+
+
+def _require_alike(recordings: Sequence[xr.Dataset], source: str) -> None:
+    """Refuse recordings of several kinds, rates or durations."""
     kinds = {(f"{each.attrs.get('servo')}", each.sizes["axis"], each["force"].attrs["units"]) for each in recordings}
     if len(kinds) > 1:
         several = " and ".join(sorted(f"servo {servo}, axes {n}, force in {unit}" for servo, n, unit in kinds))
@@ -232,23 +250,6 @@ def join_recordings(
     if len(clocks) > 1:
         trials = " and ".join(f"{n / rate:g} s at {rate:g} Hz" for rate, n in sorted(clocks))
         raise ValueError(f"{source}: trials of {trials}; expected one rate and duration")
-    required = required_signals(recordings[0].attrs.get("servo"))
-    signals = [*required, *(name for name in optional if _sampled_alike(name, recordings))]
-    partial = [name for name in OPTIONAL_COORDINATES if not all(name in recording.coords for recording in recordings)]
-    joined = stack_trials([recording[signals].drop_vars(partial, errors="ignore") for recording in recordings])
-    there = [[*recording.variables, *recording.attrs] for recording in recordings]
-    left = {*joined.variables, *joined.attrs, *LABELS, "muscle", *CLOCKS, *CLOCKS.values()}
-    return Joined(joined, tuple(dict.fromkeys(str(name) for names in there for name in names if name not in left)))
-
-
-def _sampled_alike(name: str, recordings: Sequence[xr.Dataset]) -> bool:
-    """Whether all recordings have a signal, with the same attributes and times."""
-    if not all(name in recording.data_vars for recording in recordings):
-        return False
-    first, clock = recordings[0][name], SIGNALS[name][0][0]
-    return all(
-        recording[name].attrs == first.attrs and recording[clock].equals(first[clock]) for recording in recordings
-    )
 
 
 def named(recordings: xr.Dataset | Sequence[xr.Dataset]) -> str:
@@ -263,7 +264,23 @@ def named(recordings: xr.Dataset | Sequence[xr.Dataset]) -> str:
 
 
 def stack_trials(recordings: Sequence[xr.Dataset]) -> xr.Dataset:
-    """The trials of recordings with the same signals and times in one; attributes that differ are lost."""
+    """The trials of recordings with the same signals and times in one; attributes that differ are lost.
+
+    Raises:
+      TypeError: recordings are something else.
+      ValueError: there is none, one is refused, or they differ in their kind, rate, duration or signals.
+    """
+    several = as_list("recordings", recordings, xr.Dataset, EXPECTED)
+    for recording in several:
+        check_recording(recording)
+    _require_alike(several, "recordings")
+    signals = {", ".join(f"{name} {values.shape[1:]}" for name, values in sorted(each.items())) for each in several}
+    if len(signals) > 1:
+        raise ValueError(f"recordings: signals {' and '.join(sorted(signals))}; expected the same signals in all")
+    return _stacked(several)
+
+
+def _stacked(recordings: Sequence[xr.Dataset]) -> xr.Dataset:
     return xr.concat(
         recordings,
         dim="trial",
@@ -285,9 +302,8 @@ def _check_kind(recording: xr.Dataset, source: str) -> None:
     if not is_one_axis(recording):
         for name in ("servo", "joint"):
             if name in recording.attrs:
-                raise ValueError(
-                    f"{source}: {name} = {recording.attrs[name]!r} with two axes; expected it with one axis alone"
-                )
+                said = f"{name} = {recording.attrs[name]!r}"
+                raise ValueError(f"{source}: {said} with two axes; expected it with one axis alone")
         return
     require_one_of(source, "servo", servo, SERVOS)
     if "joint" in recording.attrs:
@@ -306,9 +322,11 @@ def check_recording(recording: xr.Dataset, signals: Iterable[str] | None = None,
       source: where the recording comes from, for the message.
 
     Raises:
+      TypeError: it is no `Dataset`.
       ValueError: a variable, coordinate or attribute is missing, has the wrong dims or unit, holds NaN, or the time
         axis does not run evenly at the stated rate.
     """
+    require_type(source, recording, xr.Dataset, EXPECTED)
     if not recording.sizes.get("trial"):
         raise ValueError(f"{source}: there are no trials; expected at least one along the dimension 'trial'")
     signals = required_signals(recording.attrs.get("servo")) if signals is None else tuple(signals)
@@ -336,10 +354,8 @@ def check_recording(recording: xr.Dataset, signals: Iterable[str] | None = None,
             finite = np.isfinite(values)
             if not finite.all():
                 sample, column = np.argwhere(~finite)[0]
-                raise ValueError(
-                    f"{source}: {name} of trial {trial} is {values[sample, column]} at sample {sample}; expected "
-                    "finite values"
-                )
+                there = f"{values[sample, column]} at sample {sample}"
+                raise ValueError(f"{source}: {name} of trial {trial} is {there}; expected finite values")
     for name in TEXT_COORDINATES:
         for text in map(str, recording[name].values.flat if name in recording.coords else ()):
             require_name(source, name, text)

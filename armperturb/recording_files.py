@@ -13,6 +13,7 @@ import xarray as xr
 from armperturb.files import write_whole
 from armperturb.foreign import read_foreign
 from armperturb.recording import OPTIONAL_SIGNALS, SIGNALS, TEXT_COORDINATES, check_recording
+from armperturb.validation import as_list
 
 LARGEST_CHUNK = 2**20
 """Of what one checksum of a file is about [byte]."""
@@ -84,6 +85,24 @@ def save_recording(recording: xr.Dataset, path: str | Path) -> None:
     write_whole(path, encode_recording(recording))
 
 
+def wanted_signals(optional: Iterable[str], owner: str) -> set[str]:
+    """What is to be read beside `REQUIRED_SIGNALS`.
+
+    Args:
+      optional: one of `OPTIONAL_SIGNALS`, or several.
+      owner: what asks, for the message.
+
+    Raises:
+      TypeError: optional is neither.
+      ValueError: it has something else than `OPTIONAL_SIGNALS`.
+    """
+    expected = f"some of {', '.join(OPTIONAL_SIGNALS)}"
+    wanted = as_list(f"{owner}: optional", optional, str, expected, or_none=True)
+    if unknown := [name for name in wanted if name not in OPTIONAL_SIGNALS]:
+        raise ValueError(f"{owner}: optional has {', '.join(sorted(map(repr, unknown)))}; expected {expected}")
+    return set(wanted)
+
+
 def load_recording(path: str | Path, optional: Iterable[str] = OPTIONAL_SIGNALS) -> xr.Dataset:
     """Read a recording, parsed in a child process which a damaged file may crash, and check what was read.
 
@@ -95,10 +114,7 @@ def load_recording(path: str | Path, optional: Iterable[str] = OPTIONAL_SIGNALS)
       ValueError: the file is no netCDF4 file or no recording, or something else than `OPTIONAL_SIGNALS` is asked for.
       OSError: the file cannot be read.
     """
-    path, wanted = Path(path), set(optional)
-    if unknown := wanted - set(OPTIONAL_SIGNALS):
-        refused = ", ".join(map(repr, sorted(unknown)))
-        raise ValueError(f"load_recording: optional has {refused}; expected some of {', '.join(OPTIONAL_SIGNALS)}")
+    path, wanted = Path(path), wanted_signals(optional, "load_recording")
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file, or a folder; expected a recording (netCDF4)")
     left_out = set(OPTIONAL_SIGNALS) - wanted

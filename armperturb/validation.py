@@ -1,7 +1,7 @@
 """Checks of values; each message names the owner, the field, its value, and what was expected."""
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from numbers import Integral, Real
 from typing import Any
 
@@ -108,6 +108,54 @@ def require_whole(owner: str, field: str, value: object, *, at_least: int) -> No
       ValueError: value is out of bounds.
     """
     require_number(owner, field, value, at_least=at_least, whole=True)
+
+
+def require_type(what: str, value: object, kinds: type | tuple[type, ...], expected: str) -> None:
+    """Refuse anything but an instance of some classes.
+
+    Args:
+      what: owner and field, for the message, e.g. "Trial: subject".
+      value: the value to check.
+      kinds: one class, or several.
+      expected: what it should be, for the message.
+
+    Raises:
+      TypeError: value is something else.
+    """
+    if not isinstance(value, kinds):
+        raise TypeError(f"{what} = {_on_one_line(value)}; expected {expected}")
+
+
+def as_list(
+    what: str, value: Any, single: type | tuple[type, ...], expected: str, *, or_none: bool = False
+) -> list[Any]:
+    """What was given for one thing or several, as a list.
+
+    Args:
+      what: owner and field, for the message.
+      value: a single thing, or any iterable; what it holds is not checked.
+      single: classes of a single thing, which stands for itself.
+      expected: what it should be, for the message.
+      or_none: whether an iterable of nothing is good.
+
+    Raises:
+      TypeError: value is neither.
+      ValueError: it holds nothing.
+    """
+    if isinstance(value, single):
+        return [value]
+    # A text, a table and a named tuple are iterable, but are one thing.
+    is_one = isinstance(value, (str, bytes, Mapping)) or hasattr(value, "_fields")
+    require_type(what, value, () if is_one else Iterable, expected)
+    several = list(value)
+    if not several and not or_none:
+        raise ValueError(f"{what} is empty; expected at least one")
+    return several
+
+
+def _on_one_line(value: object) -> str:
+    """The start of a value's representation, whatever it is."""
+    return f"{' '.join(repr(value).split()):.60}"
 
 
 def require_one_of(owner: str, field: str, value: object, known: Sequence[str | None]) -> None:

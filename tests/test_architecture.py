@@ -14,8 +14,8 @@ ROOT = Path(armperturb.__file__).parent
 BASE = {"arrays", "memory", "validation", "extras", "seeds", "files", "foreign", "recording", "recording_files"}
 BASE |= {"jit", "muscle_law", "person_files", "subject", "environment", "joint_person"}
 ARM = BASE | {
-    "analysis.cuts", "analysis.defaults", "analysis.plateaus", "analysis.arm", "analysis.force_balance",
-    "analysis.trials", "analysis.per_trials", "analysis.manipulator", "analysis.numerics",
+    "analysis.cuts", "analysis.defaults", "analysis.plateaus", "analysis.arm", "analysis.imbalance",
+    "analysis.force_balance", "analysis.trials", "analysis.per_trials", "analysis.manipulator", "analysis.numerics",
     "analysis.results", "plots", "anthropometry",
 }  # fmt: skip
 ANALYSIS = ARM | {"analysis.response", "analysis.measures", "analysis.emg", "analysis.fit", "analysis.nonlinear"}
@@ -39,7 +39,7 @@ ARROWS = {
     "anthropometry": {"files", "validation"},
     "foreign": {"extras", "files"},
     "recording": {"files", "validation"},
-    "recording_files": {"files", "foreign", "recording"},
+    "recording_files": {"files", "foreign", "recording", "validation"},
     "archive": {"files"},
     "workers": {"extras", "memory", "validation"},
     "progress": set(),
@@ -52,7 +52,8 @@ ARROWS = {
     "analysis.plateaus": BASE,
     "analysis.numerics": BASE,
     "analysis.arm": BASE,
-    "analysis.force_balance": BASE,
+    "analysis.imbalance": BASE,
+    "analysis.force_balance": BASE | {"analysis.imbalance"},
     "plots": BASE,
     "pages": BASE | {"plots"},
     "analysis.results": BASE | {"plots"},

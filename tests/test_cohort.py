@@ -192,3 +192,9 @@ def test_impossible_levels_are_refused(level, error):
 def test_subject_of_another_task_is_refused():
     with pytest.raises(ValueError, match="subjects\\['PT'\\] has the task 'RT'"):
         Person(name="A", height=1.8, mass=75.0, subjects={"PT": PRESETS["relax"]})
+
+
+def test_a_name_that_is_none_is_refused():
+    for name, error in ((None, TypeError), ("", TypeError), ("a\nb", ValueError)):
+        with pytest.raises(error, match="Person: name = "):
+            Person(name=name, height=1.8, mass=75.0, subjects={})

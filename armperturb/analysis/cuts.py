@@ -1,9 +1,22 @@
 """Where trials of a recording are cut: at the pulse, at the workspace limit, by condition."""
 
+import math
+from collections.abc import Iterable
+from typing import Any
+
 import numpy as np
 import xarray as xr
 
 from armperturb.arrays import Array, Indices
+
+ARM_LABELS = ("l_h", "l_f", "theta_s_deg", "theta_e_deg")
+"""Coordinates that only models of the arm need; NaN where they are unknown."""
+
+CHOSEN_BY = {"subject": "--subject", "task": "--condition", "condition": "--condition"}
+"""Coordinate to the option that picks the trials of one of its values."""
+
+ONE_VALUED = (*CHOSEN_BY, *ARM_LABELS)
+"""Coordinates that all trials of a person in a condition share."""
 
 
 def onset_samples(recording: xr.Dataset) -> Indices:
@@ -23,3 +36,27 @@ def of_condition(recording: xr.Dataset, condition: str) -> xr.Dataset:
     """Trials of the condition of that name; no copy where all are."""
     of = recording["condition"].values == condition
     return recording if of.all() else recording.isel(trial=np.flatnonzero(of))
+
+
+def one_condition(recordings: Iterable[xr.Dataset]) -> dict[str, Any]:
+    """The values of `ONE_VALUED` that all trials share; NaN where they are unknown.
+
+    Args:
+      recordings: checked recordings of one person in one condition.
+
+    Raises:
+      ValueError: trials differ in subject, task, condition or posture.
+    """
+    several, shared = list(recordings), {}
+    for name in ONE_VALUED:
+        # What is unknown in some trials does not differ from the others; NaN equals nothing.
+        values = [value for recording in several for value in recording[name].values.tolist() if value == value]
+        distinct = list(dict.fromkeys(values))
+        if len(distinct) > 1:
+            choose = f" (choose a {CHOSEN_BY[name]})" if name in CHOSEN_BY else ""
+            raise ValueError(
+                f"recording: {name} has several values ({', '.join(map(str, distinct))}); expected the trials of one "
+                f"person in one condition and posture{choose}"
+            )
+        shared[name] = distinct[0] if distinct else math.nan
+    return shared

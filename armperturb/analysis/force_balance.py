@@ -13,7 +13,8 @@ large forces (with the thesis's instruments above some 6 Hz, and 50 times better
 mean of both, weighted inversely with their variances: x + G n with G = s_x^2 conj(E^-1) / (s_x^2 |E^-1|^2 + s_f^2).
 
 All this takes the clocks of force and displacement to agree: a skew turns inertia into damping, by m w^2 per second. It
-is seen in the balance as well, as a delay of d - f that no m, b and k explain.
+is seen in the balance as well, as a delay that no m, b and k explain. So is whatever else is wrong with a signal or the
+manipulator, see `imbalance`.
 """
 
 from functools import cached_property
@@ -22,6 +23,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from scipy import fft, optimize, signal
 
+from armperturb.analysis.imbalance import Imbalance, excited_spectra, find_imbalance
 from armperturb.arrays import Array, ComplexArray
 from armperturb.environment import Environment
 
@@ -93,7 +95,7 @@ class Balance:
     """
 
     def __init__(self, perturbation: Array, force: Array, displacement: Array, rate: float) -> None:
-        self._displacement, self._rate = displacement, rate
+        self._signals, self._displacement, self._rate = (perturbation, force, displacement), displacement, rate
         self._n_samples, self._n_edge = displacement.shape[1], round(EDGE * rate)
         if self._n_samples < 10 * self._n_edge:
             raise ValueError(f"the recording lasts {self._n_samples / rate:g} s; expected at least {10 * EDGE:g} s")
@@ -216,12 +218,25 @@ class Balance:
         force, displacement = np.exp(0.5 * solution.x)
         return NoiseLevels(float(force), float(displacement))
 
-    def skew(self, environment: Environment, levels: NoiseLevels) -> Skew:
-        """How much later force was recorded than displacement, from a Gauss-Newton step that starts at no skew.
+    @cached_property
+    def imbalance(self) -> Imbalance | None:
+        """What is wrong with a signal or the manipulator, where more than noise is left; None where nothing is."""
+        band = BAND[0], BAND[1] * self._rate
+        return find_imbalance(excited_spectra(self._signals, self._rate, self._n_edge, band))
 
-        Noise would attenuate it if its regressor were the derivative of the noisy load. As a delay leaves the noise's
-        power as it is, only the power that load and path share counts.
+    def skew(self, environment: Environment, levels: NoiseLevels) -> Skew:
+        """How much later force was recorded than displacement.
+
+        Where `imbalance` finds a delay, it is that of the signal that is late: none if it is the perturbation. Where
+        something else is wrong, it is not known, and its standard error infinite. Else it is the delay of d and f
+        together after x, from a Gauss-Newton step that starts at no skew. Noise would attenuate that if its regressor
+        were the derivative of the noisy load. As a delay leaves the noise's power as it is, only the power that load
+        and path share counts.
         """
+        wrong = self.imbalance
+        if wrong is not None:
+            after = {"force": wrong.delay, "displacement": -wrong.delay}
+            return Skew(after.get(wrong.kind, 0.0), wrong.standard_error)
         values = np.array([environment.m_env, environment.b_env, environment.k_env])
         products = np.einsum("fki,fkj->fij", self._roots, self._roots) / self._density(values, levels)[:, None, None]
         information = products.sum(axis=0)[1:, 1:]

@@ -21,6 +21,7 @@ from scipy import stats
 
 from armperturb.arrays import Array, ComplexArray
 from armperturb.recording import LABELS
+from armperturb.validation import require_one_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -148,7 +149,11 @@ class FitResult(Result):
         Args:
           name: of the parameter, as in `values`.
           level: probability with which such intervals hold the true value [-].
+
+        Raises:
+          ValueError: there is no such parameter, or level is no probability.
         """
+        require_one_of("interval", "name", name, list(self.values))
         half = quantile(level, self.degrees_of_freedom.get(name, math.inf)) * self.standard_error[name]
         return Interval(self.values[name] - half, self.values[name] + half)
 

@@ -15,15 +15,15 @@ from typing import Any, NamedTuple, Self, TypeAlias
 import numpy as np
 import xarray as xr
 
-from armperturb.analysis.cuts import limit_samples, of_condition, onset_samples
+from armperturb.analysis.cuts import ARM_LABELS, limit_samples, of_condition, one_condition, onset_samples
 from armperturb.analysis.defaults import SETTLED
 from armperturb.analysis.force_balance import EDGE, Balance, NoiseLevels, Skew
 from armperturb.analysis.numerics.periodicity import find_period, samples_of_period
 from armperturb.arrays import Array, Indices
 from armperturb.environment import Environment
-from armperturb.recording import TRIAL_COORDINATES, check_recording
+from armperturb.recording import EXPECTED, TRIAL_COORDINATES, check_recording
 from armperturb.subject import POSITION, RELAX, TASKS, Subject
-from armperturb.validation import require_number, require_one_of
+from armperturb.validation import as_list, require_number, require_one_of
 
 APERIODIC = 1e-2
 """Share of its power by which a disturbance may differ from one period to the next [-]."""
@@ -34,14 +34,8 @@ NEGLIGIBLE = 1e-9
 AT_REST = 0.02
 """Distance from zero, and between two samples, over the RMS displacement below which a handle is at rest [-]."""
 
-ARM_LABELS = ("l_h", "l_f", "theta_s_deg", "theta_e_deg")
-"""Coordinates that only models of the arm need; NaN where they are unknown."""
-
 ALIKE = 0.9
 """Correlation from which on two perturbations are the same one [-]."""
-
-ONE_VALUED = ("subject", "task", "condition", *ARM_LABELS)
-"""Coordinates that all trials of a person in a condition share."""
 
 
 class TrialRecord(NamedTuple):
@@ -115,25 +109,17 @@ class ConditionTrials:
           ValueError: trials differ in subject, condition or posture, segment lengths or posture are not known, or the
             task is unknown.
         """
-        values = {}
-        for name in ONE_VALUED:
-            if name in ARM_LABELS and np.isnan(self.recording[name].values).any():
+        values = one_condition([self.recording])
+        for name in ARM_LABELS:
+            if np.isnan(self.recording[name].values).any():
                 meaning = TRIAL_COORDINATES[name][1]
                 raise ValueError(
                     f"recording: {name} is unknown in {self.label}; expected the {meaning}, which a model of the arm "
                     f"needs (labels.{name} of the sidecar; of all: {', '.join(ARM_LABELS)})"
                 )
-            distinct = list(dict.fromkeys(self.recording[name].values.tolist()))
-            if len(distinct) > 1:
-                raise ValueError(
-                    f"recording: {name} has several values ({', '.join(map(str, distinct))}); expected the trials of "
-                    "one person in one condition and posture"
-                )
-            values[name] = distinct[0]
         require_one_of("recording", "task", values["task"], TASKS)
-        del values["condition"]
-        name = values.pop("subject")
-        return replace(POSITION if values["task"] == "PT" else RELAX, name=name, **values)
+        preset = POSITION if values["task"] == POSITION.task else RELAX
+        return replace(preset, name=values["subject"], **{name: values[name] for name in ARM_LABELS})
 
     @property
     def name(self) -> str:
@@ -389,19 +375,29 @@ def prepared(trials: Trials) -> ConditionTrials:
     return trials if isinstance(trials, ConditionTrials) else ConditionTrials.prepare(trials)
 
 
-def prepared_recordings(recordings: SeveralTrials) -> list[ConditionTrials]:
+def prepared_recordings(recordings: SeveralTrials, *, one_rate: bool = True) -> list[ConditionTrials]:
     """One or several recordings, prepared if they are not yet.
 
+    Args:
+      recordings: of one or several trials each.
+      one_rate: whether all must have the same sampling rate.
+
     Raises:
+      TypeError: it is something else.
       ValueError: there is none, one is refused, or rates differ.
     """
-    several = [recordings] if isinstance(recordings, (ConditionTrials, xr.Dataset)) else list(recordings)
-    if not several:
-        raise ValueError("recordings is empty; expected at least one")
+    several = as_list("recordings", recordings, (ConditionTrials, xr.Dataset), EXPECTED)
     trials = [prepared(recording) for recording in several]
     rates = sorted({part.rate for part in trials})
-    if len(rates) > 1:
+    if one_rate and len(rates) > 1:
         raise ValueError(f"recordings: rate = {', '.join(f'{rate:g}' for rate in rates)} Hz; expected one rate")
+    return trials
+
+
+def prepared_condition(recordings: SeveralTrials) -> list[ConditionTrials]:
+    """As `prepared_recordings`. Raises ValueError also where trials are not of one person in one condition."""
+    trials = prepared_recordings(recordings)
+    one_condition(part.recording for part in trials)
     return trials
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from scipy import signal
 
-from armperturb.analysis.trials import ARM_LABELS
+from armperturb.analysis.cuts import ARM_LABELS
 from armperturb.arrays import Array
 from armperturb.convert.checks import require_signal
 from armperturb.convert.faults import Fault, Timed, even_times

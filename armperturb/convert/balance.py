@@ -3,6 +3,7 @@
 The environment is linear, isotropic and passive, whoever holds the handle. All 64 orientations of the axes of force and
 displacement relative to those of the perturbation are tried in each trial. If one of them balances far better than the
 declared one, the error message names it. An error in the orientation of all three signals together has no effect.
+What is wrong by less, as a badly calibrated gauge or a late signal, is named by `imbalance`.
 """
 
 import math
@@ -15,6 +16,7 @@ import xarray as xr
 from scipy import fft, signal
 
 from armperturb.analysis.force_balance import EDGE, Balance
+from armperturb.analysis.imbalance import Imbalance
 from armperturb.arrays import Array
 from armperturb.recording import REQUIRED_SIGNALS
 
@@ -32,6 +34,9 @@ TOO_MUCH = 0.1
 
 FAR_BETTER = 0.5
 """Ratio of unexplained shares below which other signs or axes are far better [-]; by chance it is 0.9."""
+
+CLEAR = 0.9
+"""Share of what is left that a fault of a signal must explain to be named as the reason of a refusal [-]."""
 
 RIGHT = 0.05
 """Unexplained share of the load below which other signs, axes or units are named as the right ones [-]."""
@@ -88,16 +93,16 @@ def check_balance(
         ]
     gram = grams.sum(axis=0)
     declared = _explained(gram, np.eye(2), np.eye(2))
+    balance = Balance(d, f, x, rate)
     try:
         with np.errstate(all="ignore"):  # where nothing moves there is nothing to divide by
-            environment = Balance(d, f, x, rate).fit()[0]
+            environment = balance.fit()[0]
     except (ValueError, np.linalg.LinAlgError):
         environment = None
     if environment is None or declared.left > TOO_MUCH:
         raise ValueError(
             f"{source}: d - f does not move a mass, spring and damper ({_in_numbers(declared)}); expected a positive "
-            "mass and the force that the handle exerts on the hand, and no change of signs, axes or scale of the force "
-            "puts it right (a sensor that failed, dropped samples, two recordings in one?)"
+            f"mass and the force that the handle exerts on the hand, {_why(balance.imbalance)}"
         )
     lower, upper = (LIGHTEST, HEAVIEST) if mass is None else (mass / SET_TO, mass * SET_TO)
     if not lower <= environment.m_env <= upper:
@@ -105,7 +110,9 @@ def check_balance(
             f"{source}: d - f moves a mass of {environment.m_env:.4g} kg; expected {lower:.3g} to {upper:.3g} kg (a "
             "wrong unit of displacement, or of both forces?)"
         )
-    notes = _skews(d, f, x, rate, source)
+    notes = _skews(balance, d, f, x, rate, source)
+    if balance.imbalance is not None:
+        notes = [balance.imbalance.text]
     if declared.left > UNBALANCED and not notes:  # which a skew would explain
         notes.append(f"{_in_numbers(declared)}; expected less than {UNBALANCED:g} of it")
     # Rows 0 and 1 of the products are d, 2 and 3 are f.
@@ -163,19 +170,28 @@ def _in_numbers(explained: _Explained) -> str:
     return f"its mass comes out at {explained.mass:.3g} kg, and {explained.left:.2g} of the load is left unexplained"
 
 
-def _skews(d: Array, f: Array, x: Array, rate: float, source: str) -> list[str]:
+def _why(imbalance: Imbalance | None) -> str:
+    """What is wrong with a recording that is refused."""
+    if imbalance is not None and imbalance.share > CLEAR:
+        return f"but {imbalance.text}"
+    return (
+        "and no change of signs, axes or scale of the force puts it right (a sensor that failed, dropped samples, two "
+        "recordings in one?)"
+    )
+
+
+def _skews(balance: Balance, d: Array, f: Array, x: Array, rate: float, source: str) -> list[str]:
     """Refuse clocks of force and displacement that drift apart; a note if they differ."""
     half = d.shape[1] // 2
     halves = (slice(half), slice(half, 2 * half)) if half >= 10 * round(EDGE * rate) else ()
     skews = []
-    for part in (slice(None), *halves):
-        balance = Balance(d[:, part], f[:, part], x[:, part], rate)
+    for each in (balance, *(Balance(d[:, part], f[:, part], x[:, part], rate) for part in halves)):
         try:
             with np.errstate(all="ignore"):  # without information there is no standard error
-                skews.append(balance.skew(*balance.fit()))
+                skews.append(each.skew(*each.fit()))
         except (ValueError, np.linalg.LinAlgError):  # nothing moves in this part
             return []
-        if not np.isfinite(skews[-1].standard_error):
+        if np.isnan(skews[-1].standard_error):
             return []
     whole, *parts = skews
     change = parts[1].time - parts[0].time if parts else 0.0

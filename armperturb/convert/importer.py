@@ -32,8 +32,11 @@ from armperturb.convert.reading import ARRAYS, C3D, TEXT, read_trials
 from armperturb.convert.sidecar import Sidecar
 from armperturb.convert.tables import Repair
 from armperturb.recording import OPTIONAL_SIGNALS, is_one_axis, join_recordings
-from armperturb.recording_files import load_recording
-from armperturb.validation import require_number, require_one_of
+from armperturb.recording_files import load_recording, wanted_signals
+from armperturb.validation import as_list, require_number, require_one_of, require_type
+
+EXPECTED = "the path of a file, or several"
+"""What is to be imported, for messages."""
 
 OURS = (".nc",)
 """Endings of recordings, which need no sidecar."""
@@ -52,17 +55,17 @@ class Imported(NamedTuple):
 
 
 def import_recording(
-    paths: Sequence[str | Path],
+    paths: Sequence[str | Path] | str | Path,
     *,
     sidecar: str | Path | None = None,
-    repair: Collection[Repair] = (),
+    repair: Collection[Repair] | Repair = (),
     rate: float | None = None,
     optional: Collection[str] = OPTIONAL_SIGNALS,
 ) -> Imported:
     """Read the trials of one or more files of a laboratory, or recordings of our own.
 
     Args:
-      paths: CSV (.csv, .tsv, .txt), MATLAB (.mat), NumPy (.npz) or C3D files, or only recordings (.nc).
+      paths: CSV (.csv, .tsv, .txt), MATLAB (.mat), NumPy (.npz) or C3D files, or only recordings (.nc); one or several.
       sidecar: JSON file that says what the channels mean, see docs/recordings.md; by default that beside each file, of
         the same name but for its ending.
       repair: which faults to repair, see `faults`; all others are refused.
@@ -74,17 +77,17 @@ def import_recording(
       The trials of all files in their order.
 
     Raises:
-      TypeError: a field of the sidecar has the wrong type.
+      TypeError: an argument or a field of the sidecar has the wrong type.
       ValueError: a file or sidecar is refused, or has a fault that is not to be repaired; the message names file,
         trial, channel and time. Or perturbation, force and displacement do not obey physics.
       ModuleNotFoundError: C3D is to be read, and ezc3d is not installed.
       OSError: a file cannot be read.
     """
-    files = [Path(path) for path in paths]
-    if not files:
-        raise ValueError("recordings is empty; expected at least one file")
+    files = [_path_of(path) for path in as_list("recordings", paths, (str, Path), EXPECTED)]
+    repair = as_list("convert: repair", repair, str, f"some of {', '.join(get_args(Repair))}", or_none=True)
     for fault in repair:
         require_one_of("convert", "repair", fault, get_args(Repair))
+    optional = wanted_signals(optional, "import_recording")
     require_number("convert", "rate", rate, at_least=1.0, at_most=1e6, optional=True)
     for path in files:
         require_one_of(str(path), "ending", path.suffix.lower(), (*TEXT, *ARRAYS, *C3D, *OURS))
@@ -93,7 +96,7 @@ def import_recording(
     require_each_once(files)
     ours = [path for path in files if path.suffix.lower() in OURS]
     if not ours:
-        return import_trials(_read(files, sidecar, set(OPTIONAL_SIGNALS) - set(optional)), repair, rate)
+        return import_trials(_read(files, sidecar, set(OPTIONAL_SIGNALS) - optional), repair, rate)
     if len(ours) < len(files):
         raise ValueError(f"{ours[0]} beside files of other formats; expected only netCDF or none (convert them first)")
     for name, value in (("sidecar", sidecar), ("repair", repair), ("rate", rate)):
@@ -112,6 +115,11 @@ def import_recording(
     together = join_recordings(recordings, ", ".join(map(str, ours)), OPTIONAL_SIGNALS)
     lost = [f"not in all files alike, so left out: {', '.join(together.lost)}"] if together.lost else []
     return Imported(together.recording, (*notes, *lost))
+
+
+def _path_of(path: str | Path) -> Path:
+    require_type("recordings: path", path, (str, Path), EXPECTED)
+    return Path(path)
 
 
 def require_each_once(files: Sequence[Path]) -> None:

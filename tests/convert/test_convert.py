@@ -21,6 +21,7 @@ from laboratory import (
     table,
     write,
 )
+from scipy import signal
 from scipy.io import savemat
 
 from armperturb import cli, foreign
@@ -294,6 +295,52 @@ def test_a_simulated_arm_passes_and_its_force_turned_is_named(position_recording
         check_balance(position_recording.assign(force=-position_recording["force"]))
 
 
+def turned(force, degrees):
+    cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return force @ np.array([[cosine, sine], [-sine, cosine]])
+
+
+def filtered(values):
+    return signal.sosfilt(signal.butter(4, 20.0, fs=RATE, output="sos"), values, axis=0)
+
+
+SMALL = {
+    r"force appears to be 10 % too large \(": lambda d, f, x: (d, 1.1 * f, x),
+    r"force appears to be turned by 5° from x to y \(": lambda d, f, x: (d, turned(f, 5.0), x),
+    r"force is recorded 5.00 ms later than displacement and perturbation \(": lambda d, f, x: (d, np.roll(f, 1, 0), x),
+    r"displacement is recorded 4.99 ms earlier than force and pert": lambda d, f, x: (d, f, np.roll(x, -1, 0)),
+}
+
+
+@pytest.mark.parametrize("said", SMALL)
+def test_what_is_wrong_but_not_refused_is_noted_with_its_size(said):
+    (note,) = check_balance(laboratory_recording(*(SMALL[said](*handle(seed)) for seed in range(3))))
+    assert re.match(said, note)
+    assert re.search(r"explains (9\d|100)[.\d]* % of what the force balance leaves", note)
+
+
+LARGE = {
+    "perturbation is recorded 20.00 ms later than force": lambda d, f, x: (np.roll(d, 4, 0), f, x),
+    "perturbation is recorded 30.00 ms earlier than force": lambda d, f, x: (np.roll(d, -6, 0), f, x),
+    "these two alone passed a low-pass filter": lambda d, f, x: (d, filtered(f), filtered(x)),
+    "force is recorded 99.98 ms later than": lambda d, f, x: (d, np.roll(f, 20, 0), x),
+    "force appears to be turned by 30° from x to y": lambda d, f, x: (d, turned(f, 30.0), x),
+}
+
+
+@pytest.mark.parametrize("said", LARGE)
+def test_a_refusal_names_delay_filter_or_rotation_where_one_explains_what_is_left(said):
+    with pytest.raises(ValueError, match=rf"the handle exerts on the hand, but .*{said}") as caught:
+        check_balance(laboratory_recording(*(LARGE[said](*handle(seed)) for seed in range(3))))
+    assert "a sensor that failed" not in str(caught.value)
+
+
+def test_a_refusal_that_nothing_explains_asks_for_the_sensors():
+    d, f, x = handle(0)
+    with pytest.raises(ValueError, match=r"no change of signs, axes or scale .*\(a sensor that failed"):
+        check_balance(laboratory_recording((d, np.where(np.arange(N_TIME)[:, None] < N_TIME // 2, f, -d), x)))
+
+
 def test_one_trial_that_was_turned_is_named_among_others():
     d, f, x = handle(1)
     with pytest.raises(ValueError, match=r"damper in trial 2 \(.*the sign of force were turned"):
@@ -555,3 +602,22 @@ def test_the_example_of_the_documentation_is_a_sidecar(tmp_path):
     (tmp_path / "example.json").write_text(blocks[0])
     sidecar = Sidecar.load(tmp_path / "example.json")
     assert set(sidecar.signals) >= set(REQUIRED_SIGNALS)
+
+
+def test_a_single_path_and_a_single_repair_stand_for_themselves(tmp_path):
+    path = write(tmp_path)
+    assert_is_the_laboratory(import_recording(str(path), repair="gaps").recording)
+    for given, options, message in (
+        (None, {}, "recordings = None; expected the path of a file, or several"),
+        ([3], {}, "recordings: path = 3; expected the path of a file"),
+        ([path], {"repair": 3}, "convert: repair = 3; expected some of gaps, drops"),
+        ([path], {"repair": "zz"}, "repair = 'zz'; expected one of gaps, drops"),
+        ([path], {"optional": 3}, "import_recording: optional = 3; expected some of joint_angle"),
+        ([path], {"optional": ["zz"]}, "import_recording: optional has 'zz'; expected some of joint_angle"),
+        ([path], {"optional": "zz"}, "import_recording: optional has 'zz'; expected some of joint_angle"),
+        ([], {}, "recordings is empty; expected at least one"),
+    ):
+        with pytest.raises((TypeError, ValueError), match=message):
+            import_recording(given, **options)
+    with pytest.raises(ValueError, match="load_recording: optional has 'zz'; expected some of joint_angle"):
+        load_recording(path, ["zz"])

@@ -17,7 +17,7 @@ Of a subject with a muscle law, responses are those of its linear parameters; on
 
 import copy
 from collections.abc import Sequence
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -49,6 +49,7 @@ from armperturb.analysis.arm.parameters import (
 from armperturb.arrays import Array, ComplexArray
 from armperturb.environment import Environment
 from armperturb.subject import Subject
+from armperturb.validation import require_one_of, require_type
 
 Delay = Literal["exact", "pade"]
 """A pure neural delay, or its third-order Pade approximation (eq. B.12)."""
@@ -336,17 +337,34 @@ def _finite_grip(values: Array) -> tuple[Array, Array]:
     return np.where(is_rigid, RIGID_GRIP[0], b_h), np.where(is_rigid, RIGID_GRIP[1], k_h)
 
 
+def _arm_of(subject: Subject, frequency: ArrayLike, delay: Delay) -> LinearArm:
+    """What a response of a subject is computed from; raises as `joint_impedance`."""
+    require_type("linear arm: subject", subject, Subject, "a Subject, e.g. POSITION")
+    require_one_of("linear arm", "delay", delay, get_args(Delay))
+    wanted = np.asarray(frequency, dtype=float)
+    if wanted.ndim != 1:
+        raise ValueError(f"linear arm: frequency has shape {wanted.shape}; expected (frequency,)")
+    wrong = ~((wanted >= 0.0) & np.isfinite(wanted))
+    if wrong.any():
+        raise ValueError(f"linear arm: frequency = {wanted[wrong][0]:g} Hz; expected finite numbers of at least 0")
+    return LinearArm(subject, wanted, delay)
+
+
 def joint_impedance(subject: Subject, frequency: ArrayLike, delay: Delay = "exact") -> ComplexArray:
     """Joint impedance Z from angle to torque [Nm/rad], (frequency, joint, joint).
 
     Args:
       subject: the arm.
-      frequency: [Hz], (frequency,).
+      frequency: [Hz], (frequency,), none below 0.
       delay: "exact" or "pade".
+
+    Raises:
+      TypeError: subject is no `Subject`.
+      ValueError: frequency is no row of finite numbers from 0 on, or delay is something else.
 
     Source: eqs 2.6, 2.8, B.12, B.19, and the head of this module.
     """
-    return LinearArm(subject, frequency, delay).joint_impedance(parameter_vector(subject))
+    return _arm_of(subject, frequency, delay).joint_impedance(parameter_vector(subject))
 
 
 def arm_admittance(subject: Subject, frequency: ArrayLike, delay: Delay = "exact") -> ComplexArray:
@@ -354,12 +372,16 @@ def arm_admittance(subject: Subject, frequency: ArrayLike, delay: Delay = "exact
 
     Args:
       subject: the arm.
-      frequency: [Hz], (frequency,).
+      frequency: [Hz], (frequency,), none below 0.
       delay: "exact" or "pade".
+
+    Raises:
+      TypeError: subject is no `Subject`.
+      ValueError: frequency is no row of finite numbers from 0 on, or delay is something else.
 
     Source: figure 2.7; see the head of this module.
     """
-    return LinearArm(subject, frequency, delay).admittance(parameter_vector(subject))
+    return _arm_of(subject, frequency, delay).admittance(parameter_vector(subject))
 
 
 def environment_admittance(environment: Environment, frequency: ArrayLike) -> ComplexArray:
@@ -377,10 +399,14 @@ def total_admittance(
     Args:
       subject: the arm.
       environment: what the hand holds.
-      frequency: [Hz], (frequency,).
+      frequency: [Hz], (frequency,), none below 0.
       delay: "exact" or "pade".
+
+    Raises:
+      TypeError: subject is no `Subject`.
+      ValueError: frequency is no row of finite numbers from 0 on, or delay is something else.
 
     Source: figure 2.6 with x = E (d - f) and x = H f, hence P = (E^-1 + H^-1)^-1; the signs of eq. A.20 belong to the
     opposite sign of f.
     """
-    return LinearArm(subject, frequency, delay).total_admittance(parameter_vector(subject), environment)
+    return _arm_of(subject, frequency, delay).total_admittance(parameter_vector(subject), environment)

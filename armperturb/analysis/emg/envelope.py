@@ -34,8 +34,8 @@ from armperturb.analysis.emg.channels import ChannelFault, Crosstalk, crosstalk_
 from armperturb.analysis.emg.whitening import Intervals, Spectra, noise_spectra, whitening
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.arrays import Array, Indices
-from armperturb.recording import Action, emg_highpass, muscle_actions
-from armperturb.validation import require_number
+from armperturb.recording import EXPECTED, Action, emg_highpass, muscle_actions
+from armperturb.validation import require_number, require_type
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -238,7 +238,9 @@ def require_emg(recording: xr.Dataset) -> None:
 
     Raises:
       ValueError: there is none, or it lasts longer or less long than the other signals.
+      TypeError: it is none.
     """
+    require_type("recording", recording, xr.Dataset, EXPECTED)
     if "emg" not in recording.data_vars:
         raise ValueError("EMG is missing: the recording has no variable 'emg'; expected one (signals.emg of a sidecar)")
     rate = float(recording.attrs["emg_rate"])

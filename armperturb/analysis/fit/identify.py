@@ -363,6 +363,8 @@ def _thesis_fit(
     remarks = [f"{name} sits on a bound in {count} of {n_trials} trials" for name, count in result.at_bound.items()]
     if result.n_stable < n_trials:
         remarks.append(f"{n_trials - result.n_stable} of {n_trials} trials give an unstable arm")
+    if (wrong := trials.balance.imbalance) is not None:
+        remarks.append(wrong.text)
     return ArmFit(
         estimator="thesis",
         values=dict(zip(names, values.tolist(), strict=True)),

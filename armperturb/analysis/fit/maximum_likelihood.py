@@ -36,6 +36,7 @@ from armperturb.analysis.fit.trial_effects import (
 )
 from armperturb.analysis.fit.whittle import LackOfFit, Normal
 from armperturb.analysis.force_balance import Skew
+from armperturb.analysis.imbalance import Imbalance
 from armperturb.analysis.results import Description, FitResult, limits_of, parameter_table
 from armperturb.arrays import Array
 from armperturb.subject import Subject
@@ -85,6 +86,7 @@ class Estimate(FitResult):
       objective: minus twice the log-likelihood, up to a constant that depends on the trials and the method.
       n_rounds: Gauss-Newton steps.
       skew: condition to the skew between the clocks of force and displacement.
+      imbalance: condition to what is wrong with a signal or the manipulator; None where nothing is known to be.
       trial_spread: quantity, as "k" of stiffness, to the standard deviation over trials of the factor by which it
         differs from its mean [-]; without those of which no difference was found.
     """
@@ -99,6 +101,7 @@ class Estimate(FitResult):
     objective: float
     n_rounds: int
     skew: Mapping[str, Skew]
+    imbalance: Mapping[str, Imbalance | None]
     trial_spread: Mapping[str, float]
 
     @property
@@ -145,9 +148,12 @@ def _remarks(fit: Estimate) -> tuple[str, ...]:
             "or who differs from trial to trial"
         )
     for label, (time, error) in fit.skew.items():
-        if abs(time) > max(SKEWED, 3.0 * error):
+        where, wrong = f"{label}: " if len(fit.skew) > 1 else "", fit.imbalance[label]
+        if wrong is not None:
+            said.append(f"{where}{wrong.text}")
+        elif abs(time) > max(SKEWED, 3.0 * error):
             said.append(
-                f"{label}: force is recorded {1e3 * time:.2f} ms later than displacement (standard error "
+                f"{where}force is recorded {1e3 * time:.2f} ms later than displacement (standard error "
                 f"{1e3 * error:.2f} ms); expected clocks that agree, as skew turns inertia into damping"
             )
     return (*said, *limits_of(fit))
@@ -410,5 +416,6 @@ def _judge(problem: JointLikelihood, method: Method, search: Searched) -> Estima
         objective=objective,
         n_rounds=search.n_rounds,
         skew={group.label: group.parts[0].skew for group in problem.groups},
+        imbalance={group.label: group.parts[0].balance.imbalance for group in problem.groups},
     )
     return replace(result, remarks=(*_remarks(result), *((FEW_WITH_EMG,) if is_assumed else ())))

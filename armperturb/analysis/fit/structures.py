@@ -13,7 +13,7 @@ from armperturb.analysis.arm.parameters import PARAMETERS, parameter_vector
 from armperturb.arrays import Array
 from armperturb.files import packaged_table
 from armperturb.subject import TASKS, Subject
-from armperturb.validation import require_one_of
+from armperturb.validation import require_one_of, require_type
 
 Bounds = tuple[float, float]
 
@@ -59,6 +59,7 @@ class Structure:
       mixing: derivative of an arm's parameters by the free ones, (arm parameter, free parameter); follows from these.
 
     Raises:
+      TypeError: name is no text.
       ValueError: a name is unknown, a parameter is free, tied or fixed at the same time, or missing, ties form a
         circle, bounds cross or hold values that no arm can have, an initial value is missing or outside its bounds, or
         a prior has no width or a mean outside the bounds.
@@ -74,6 +75,7 @@ class Structure:
     _constant: Mapping[str, Array] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        require_type("Structure: name", self.name, str, "a text")
         self._check_names()
         self._check_values()
         mixing = np.zeros((len(PARAMETERS), len(self.free)))

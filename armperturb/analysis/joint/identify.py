@@ -19,7 +19,7 @@ from armperturb.analysis.joint.signals import SHORTEST, JointSignals, joint_sign
 from armperturb.analysis.joint.torque_likelihood import band_of
 from armperturb.analysis.results import Description, FitResult, Interval, parameter_table, plain, quantile
 from armperturb.arrays import Array
-from armperturb.recording import named
+from armperturb.recording import check_recording, named
 from armperturb.validation import require_number, require_one_of
 
 if TYPE_CHECKING:
@@ -215,6 +215,7 @@ def identify_joint(
       ValueError: the recording is refused, of two axes, of several conditions, or too short, or an option is out of its
         range.
     """
+    check_recording(recording)
     require_one_of("identify", "reflex", reflex, (None, *REFLEXES))
     conditions = list(dict.fromkeys(map(str, recording["condition"].values)))
     if len(conditions) > 1:

@@ -13,9 +13,16 @@ from armperturb.analysis.trials import ConditionTrials, Trials, prepared
 from armperturb.arrays import Array
 from armperturb.environment import Environment
 from armperturb.subject import Subject
+from armperturb.validation import require_number
 
 HIGHPASS = 0.40
 """Cut-off that takes voluntary interventions out [Hz] (thesis 2.7)."""
+
+ORDER = 3
+"""Of that high-pass."""
+
+FEWEST_SAMPLES = 3 * (ORDER + 1) + 1
+"""One more than what is mirrored at either end to start the high-pass."""
 
 
 def variance_accounted_for(
@@ -30,9 +37,23 @@ def variance_accounted_for(
       highpass: cut-off of the third-order Butterworth high-pass, run forth and back, that takes voluntary
         interventions out of both [Hz]; None leaves them in.
 
+    Raises:
+      TypeError: rate or highpass is no number.
+      ValueError: shapes differ, there are too few samples, or rate or highpass is out of its range.
+
     Source: eq. 2.23 and the text below it.
     """
     x, model = np.asarray(recorded, dtype=float), np.asarray(predicted, dtype=float)
+    require_number("variance_accounted_for", "rate", rate, above=0.0)
+    require_number("variance_accounted_for", "highpass", highpass, above=0.0, below=rate / 2.0, optional=True)
+    if x.ndim < 2 or x.shape != model.shape:
+        raise ValueError(
+            f"variance_accounted_for: recorded has shape {x.shape}, predicted {model.shape}; expected the same, "
+            "(..., time, axis)"
+        )
+    least = 2 if highpass is None else FEWEST_SAMPLES
+    if x.shape[-2] < least:
+        raise ValueError(f"variance_accounted_for: {x.shape[-2]} samples; expected at least {least} along time")
     if highpass is not None:
         x, model = (_highpassed(values, rate, highpass) for values in (x, model))
     return _share(x, model)
@@ -44,7 +65,7 @@ def _highpassed(values: Array, rate: float, highpass: float) -> Array:
 
 @cache
 def _sections(rate: float, highpass: float) -> Array:
-    return np.asarray(signal.butter(3, highpass, "highpass", fs=rate, output="sos"))
+    return np.asarray(signal.butter(ORDER, highpass, "highpass", fs=rate, output="sos"))
 
 
 def _judged(trials: ConditionTrials) -> slice:

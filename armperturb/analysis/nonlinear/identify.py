@@ -22,7 +22,9 @@ from armperturb.analysis.nonlinear.start import linear_arms
 from armperturb.analysis.nonlinear.trials import fitted_conditions, training_sets
 from armperturb.analysis.results import Description, Result
 from armperturb.planar_arm.simulation import load_compiled_arm
+from armperturb.recording import check_recording
 from armperturb.subject import Subject
+from armperturb.validation import require_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -131,11 +133,14 @@ def identify_nonlinear(
       n_pairs_of_errors: pairs of draws from which errors are estimated.
 
     Raises:
+      TypeError: recording is no `Dataset`, or threads no whole number.
       ValueError: the recording is refused or cannot be identified, the law is unknown, or EMG cannot be used with it.
       OSError: a checkpoint cannot be written.
       ModuleNotFoundError: numba is not installed.
     """
     load_compiled_arm()  # refused before anything that takes time
+    check_recording(recording)
+    require_whole("identify_nonlinear", "threads", threads, at_least=1)
     if law == "half-wave" and "PT" not in recording["task"].values:
         raise ValueError(
             "law = 'half-wave' of trials without reflexes (task RT); expected trials of the task PT (or --law full)"

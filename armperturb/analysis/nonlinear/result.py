@@ -12,6 +12,7 @@ from armperturb.analysis.nonlinear.simulated import State
 from armperturb.analysis.results import Description, FitResult, Interval, parameter_table, quantile
 from armperturb.arrays import Array
 from armperturb.subject import Subject
+from armperturb.validation import require_one_of
 
 UNCERTAIN, ALIKE = 0.25, 0.95
 """From when on remarks are made: standard error of a coordinate, and correlation of errors [-]."""
@@ -60,7 +61,11 @@ class NonlinearEstimate(FitResult):
         Args:
           name: of the parameter, as in `values`.
           level: probability with which such intervals hold the true value [-].
+
+        Raises:
+          ValueError: there is no such parameter, or level is no probability.
         """
+        require_one_of("interval", "name", name, list(self.values))
         return _interval(name, self.values[name], quantile(level) * self.coordinate_error[name])
 
     def unit_of(self, name: str) -> str:

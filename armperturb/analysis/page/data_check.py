@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from armperturb.analysis.force_balance import NoiseLevels, Skew
+from armperturb.analysis.imbalance import Imbalance
 from armperturb.analysis.plateaus import LEAST_RUN, clipped_stretches, runs
 from armperturb.analysis.trials import ConditionTrials, common_period
 from armperturb.environment import Environment
@@ -27,6 +28,7 @@ class DataCheck(NamedTuple):
       unexplained: share of its load that these leave [-].
       noise: of the instruments.
       skew: of the clocks of force and displacement.
+      imbalance: what is wrong with a signal or the manipulator; None where nothing is known to be.
       clipped: signal and axis to the number of samples that are clipped, where there are any.
       held: longest stretch in which neither force nor displacement changes [s].
     """
@@ -41,6 +43,7 @@ class DataCheck(NamedTuple):
     unexplained: float
     noise: NoiseLevels
     skew: Skew
+    imbalance: Imbalance | None
     clipped: dict[str, int]
     held: float
 
@@ -69,6 +72,7 @@ def check_data(parts: Sequence[ConditionTrials], window_start: float, period: fl
         unexplained=first.balance.unexplained(first.environment),
         noise=first.noise,
         skew=first.skew,
+        imbalance=first.balance.imbalance,
         clipped=_clipped(parts),
         held=max(_held(part) for part in parts),
     )

@@ -82,7 +82,9 @@ def _content(
     # What a fit to trials in the start geometry leaves is left of those.
     fitted = {label: result.fit.trials or trials[label] for label, result in results.items()}
     diagnoses = {label: diagnose(result, fitted[label]) for label, result in results.items()}
-    verdicts = {label: verdict(result, diagnoses[label].bands) for label, result in results.items()}
+    verdicts = {
+        label: verdict(result, diagnoses[label].bands, checks[label].imbalance) for label, result in results.items()
+    }
     distortions = {label: _distortion(fitted[label], check) for label, check in checks.items()}
     endpoints = {
         label: result.endpoint() for label, result in results.items() if not is_straight(result.fit.arm.theta_e_deg)

@@ -13,6 +13,7 @@ from armperturb.analysis.fit.identify import Identification
 from armperturb.analysis.fit.maximum_likelihood import LARGE_LACK, SKEWED, SUSPICIOUS, Estimate
 from armperturb.analysis.fit.trial_effects import ASSUMED, FEWEST_TRIALS
 from armperturb.analysis.fit.whittle import LackOfFit
+from armperturb.analysis.imbalance import Imbalance, Kind
 from armperturb.analysis.page.data_check import DataCheck
 from armperturb.analysis.response.best_linear import BestLinear
 from armperturb.analysis.results import limits_of, plain
@@ -24,6 +25,24 @@ REFLEXES = (1.5, 6.0)
 
 SUPPORTED = 0.4
 """Share of the lack of fit at a cause's frequencies from which on these support it [-]."""
+
+BEYOND, FAR_BEYOND = 2.0, 10.0
+"""Standard errors of the best-known parameter from which on an error is beyond its interval, and far beyond [-]."""
+
+LARGE_BIAS = 0.05
+"""Error of the arm's impedance below which parameters that are that far off can still be used with care [-]."""
+
+BODY = ("i_", "m_", "b_", "k_")
+"""How the names of inertia, damping and stiffness start, which are in proportion to the impedance."""
+
+REMEDIES: dict[Kind, str] = {
+    "gain": "Calibrate the gauge and the perturbation.",
+    "gains": "Calibrate the gauge, axis by axis.",
+    "rotation": "Turn the force into the axes of the other signals (signals.force.axes, if it is by right angles).",
+    "load": "Make the manipulator alike in all directions: a mass, damping and stiffness.",
+    "unknown": "Pass all signals through the same filters, and check each sensor.",
+}
+"""What helps; against a delay, one clock does."""
 
 INCOHERENT = 0.5
 """Coherence below which noise dominates [-]."""
@@ -57,13 +76,37 @@ class Cause(NamedTuple):
     supported: bool | None
 
 
-def verdict(identification: Identification, bands: Sequence[BandOfLack]) -> Verdict:
+def verdict(identification: Identification, bands: Sequence[BandOfLack], imbalance: Imbalance | None = None) -> Verdict:
     """Whether to trust the parameters of one condition.
 
     Args:
       identification: of the condition.
       bands: its lack of fit, which counts where the fit is of several conditions together.
+      imbalance: what is wrong with its signals, which no lack of fit need show; None where nothing is.
     """
+    of_fit = _of_fit(identification, bands)
+    errors = 0.0 if imbalance is None else imbalance.bias / _best_known(identification)
+    if imbalance is None or not (errors > BEYOND or math.isfinite(imbalance.delay)):
+        return of_fit
+    is_far = errors > FAR_BEYOND and imbalance.bias > LARGE_BIAS
+    wrong = f"{imbalance.text[0].upper()}{imbalance.text[1:]}"
+    return Verdict(
+        "reject" if is_far or of_fit.level == "reject" else "care",
+        f"{wrong}, {errors:.2g} standard errors of the best-known parameter. {of_fit.text}",
+    )
+
+
+def _best_known(identification: Identification) -> float:
+    """Smallest relative standard error of inertia, damping and stiffness [-]."""
+    fit = identification.fit
+    errors = (
+        fit.standard_error[name] / abs(value) for name, value in fit.values.items() if name.startswith(BODY) and value
+    )
+    return min((error for error in errors if error > 0.0), default=math.inf)
+
+
+def _of_fit(identification: Identification, bands: Sequence[BandOfLack]) -> Verdict:
+    """Whether the model explains the movement."""
     fit = identification.fit
     if not fit.converged:
         return Verdict("reject", f"The search did not end at an optimum ({fit.message}).")
@@ -110,7 +153,12 @@ def likely_causes(
     above, middle = _share(bands, REFLEXES[1], math.inf), _share(bands, *REFLEXES)
     causes = []
     time, error = check.skew
-    if abs(time) > max(SKEWED, 3.0 * error):
+    if check.imbalance is not None:
+        late = math.isfinite(check.imbalance.delay)
+        evidence = f"{check.imbalance.text[0].upper()}{check.imbalance.text[1:]}."
+        remedy = "Record all signals by one clock and through one filter." if late else REMEDIES[check.imbalance.kind]
+        causes.append(Cause("clocks" if late else "force balance", evidence, remedy, True))
+    elif abs(time) > max(SKEWED, 3.0 * error):
         causes.append(
             Cause(
                 "clocks",

@@ -49,7 +49,7 @@ from armperturb.analysis.response.local_polynomial import (
     without,
 )
 from armperturb.analysis.results import Description, Result, Table, plain
-from armperturb.analysis.trials import SeveralTrials, TrialRecord, prepared_recordings
+from armperturb.analysis.trials import SeveralTrials, TrialRecord, prepared_condition
 from armperturb.arrays import Array
 from armperturb.recording import LABELS, named
 
@@ -206,9 +206,11 @@ def best_linear(
       lines_per_average: as in `estimate_multisine`; 3 or more.
 
     Raises:
-      ValueError: as `estimate_multisine`; or lines of a cluster or periods are too few.
+      TypeError: recordings are no `Dataset`.
+      ValueError: as `estimate_multisine`; trials differ in subject, task, condition or posture; or lines of a cluster
+        or periods are too few.
     """
-    several = prepared_recordings(recordings)
+    several = prepared_condition(recordings)
     trials = periodic_trials(several, period=period, window_start=window_start, lines_per_average=lines_per_average)
     shortest = min(map(len, trials.groups))
     if shortest < 3:

@@ -21,7 +21,7 @@ from armperturb.analysis.response.one_axis import one_axis_response
 from armperturb.analysis.response.spectra import averaged_spectra, line_spectra
 from armperturb.analysis.response.subspace import fit_subspace
 from armperturb.analysis.response.tapers import estimate_multitaper, estimate_welch
-from armperturb.analysis.trials import SeveralTrials, TrialRecord, prepared, prepared_recordings
+from armperturb.analysis.trials import SeveralTrials, TrialRecord, prepared, prepared_condition, prepared_recordings
 from armperturb.arrays import Array
 from armperturb.recording import is_one_axis, join_recordings, named
 from armperturb.validation import require_one_of
@@ -179,11 +179,11 @@ def response(
         of what is used [s]; and those of the method, see its function.
 
     Raises:
-      TypeError: the method lacks an option.
-      ValueError: the method is unknown, or as its function.
+      TypeError: the method lacks an option, or recording is no `Dataset`.
+      ValueError: the method is unknown, trials differ in subject, task, condition or posture, or as its function.
     """
     require_one_of("response", "what", options.get("what", "arm"), get_args(System))
-    several = prepared_recordings(recording)
+    several = prepared_condition(recording)
     if is_one_axis(several[0].recording):
         require_one_of("response of one axis", "method", method, (None, "noise"))
         return one_axis_response(several, frequency=frequency, **options)

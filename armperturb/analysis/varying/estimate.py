@@ -32,6 +32,7 @@ from armperturb.analysis.varying.likelihood import STRETCH, VaryingLikelihood
 from armperturb.analysis.varying.model import DEGREE, VaryingModel, finer
 from armperturb.analysis.varying.result import Curve, VaryingEstimate
 from armperturb.arrays import Array, Indices
+from armperturb.recording import check_recording
 from armperturb.validation import require_number, require_one_of
 
 Variable = Literal["time", "scheduling"]
@@ -128,6 +129,7 @@ def identify_varying(
     Raises:
       ValueError: the recording is of another kind, an option is unknown, or too little is left to fit.
     """
+    check_recording(recording)
     require_one_of("identify_varying", "variable", variable, tuple(CANDIDATES))
     require_one_of("identify_varying", "reflex", reflex, REFLEXES)
     last = float(recording["time"].values[-1])

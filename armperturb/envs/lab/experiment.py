@@ -1,7 +1,7 @@
 """The batched experiment: many trials side by side, each a person under a perturbation, as instruments read them."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -30,11 +30,11 @@ from armperturb.envs.lab.trial import (
 from armperturb.perturbations import Perturbation, check_bandwidth
 from armperturb.recording import MUSCLES, HighPass, make_recording
 from armperturb.subject import Subject
-from armperturb.validation import require_number
+from armperturb.validation import as_list, require_number, require_type, require_whole
 
 
 def run_experiment(
-    trials: Sequence[Trial],
+    trials: Iterable[Trial],
     environment: Environment | None = None,
     *,
     timestep: float = TIMESTEP,
@@ -76,15 +76,18 @@ def run_experiment(
       truth about a shoulder that a strap lets move is `shoulder_marker` without instruments.
 
     Raises:
-      TypeError: strap is something else.
-      ValueError: no trials, a subject that is unstable on the environment or too fast for a quarter of the step, a
-        perturbation with content above 45 % of the simulation rate, too short or too long, or rates that do not fit.
+      TypeError: an argument is of another type.
+      ValueError: no trials, a number of threads below 0, a subject that is unstable on the environment or too fast for
+        a quarter of the step, a perturbation with content above 45 % of the simulation rate, too short or too long, or
+        rates that do not fit.
       RuntimeError: MuJoCo could not integrate a trial that stayed inside the workspace.
     """
-    if not trials:
-        raise ValueError("trials is empty; expected at least one trial")
+    trials = as_list("trials", trials, Trial, "Trials")
+    for trial in trials:
+        require_type("run_experiment: a trial", trial, Trial, "a Trial")
+    require_whole("run_experiment", "n_threads", n_threads, at_least=0)
     setup = Setup(
-        environment=environment or Environment(),
+        environment=Environment() if environment is None else environment,
         timestep=timestep,
         rate=rate,
         rope=rope,

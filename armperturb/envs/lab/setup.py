@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from types import NoneType
 from typing import TypeVar
 
 import numpy as np
@@ -13,7 +14,7 @@ from armperturb.environment import ENGINES, TIMESTEP, Environment, Strap
 from armperturb.envs.lab.emg import Emg
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.perturbations import Perturbation
-from armperturb.validation import require_number, require_one_of
+from armperturb.validation import require_number, require_one_of, require_type
 
 T = TypeVar("T")
 
@@ -45,6 +46,10 @@ class Setup:
 
     def __post_init__(self) -> None:
         owner = "run_experiment"
+        require_type(f"{owner}: environment", self.environment, Environment, "Environment or None")
+        require_type(f"{owner}: linear", self.linear, (bool, np.bool_), "True or False")
+        require_type(f"{owner}: instruments", self.instruments, (Instruments, NoneType), "Instruments or None")
+        require_type(f"{owner}: strap", self.strap, (Strap, NoneType), "Strap or None")
         require_number(owner, "timestep", self.timestep, above=0.0)
         require_number(owner, "rate", self.rate, above=0.0)
         if self.decimation < 1 or abs(self.decimation * self.rate * self.timestep - 1.0) > 1e-9:
@@ -54,8 +59,6 @@ class Setup:
             )
         if self.linear and self.rope != "ideal":
             raise ValueError(f"{owner}: rope = {self.rope!r}; expected 'ideal', the only one that the linear arm has")
-        if self.strap is not None and not isinstance(self.strap, Strap):
-            raise TypeError(f"{owner}: strap = {self.strap!r}; expected Strap or None")
         if self.linear and self.strap is not None:
             raise ValueError(f"{owner}: strap = {self.strap!r}; expected None, as the linear arm's shoulder is fixed")
         require_one_of(owner, "engine", self.engine, ENGINES)

@@ -1,6 +1,7 @@
 """One trial: a person under a perturbation, what is random about it, and what it puts into the simulation."""
 
 from dataclasses import dataclass
+from types import NoneType
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from armperturb.controllers.remnant import HumanNoise
 from armperturb.environment import Environment, Strap
 from armperturb.perturbations import Perturbation, Pulse
 from armperturb.subject import Subject
-from armperturb.validation import require_number, require_whole
+from armperturb.validation import require_name, require_number, require_type, require_whole
 
 HUMAN, MARKER, EMG = 1, 2, 3
 """What a trial's seed is extended by for each source of chance; the strain gauge takes the seed as it is."""
@@ -44,8 +45,9 @@ class Trial:
         silent before and after, for EMG alone [-], 0 to 1; None for what posture and reflexes ask for.
 
     Raises:
-      TypeError: seed or order is not a whole number, or noise or contraction is something else.
-      ValueError: seed or order is not finite or negative, or contraction out of its range.
+      TypeError: seed, order or repetition is not a whole number, or another field is of another type.
+      ValueError: seed, order or repetition is not finite or negative, condition cannot be printed on one line, or
+        pulse_level or contraction is out of its range.
     """
 
     subject: Subject
@@ -59,11 +61,15 @@ class Trial:
     contraction: float | None = None
 
     def __post_init__(self) -> None:
-        for field in ("order", "seed"):
+        require_type("Trial: subject", self.subject, Subject, "a Subject")
+        require_type("Trial: perturbation", self.perturbation, Perturbation, "a perturbation, e.g. Multisine or Pulse")
+        if self.condition != "":
+            require_name("Trial", "condition", self.condition)
+        require_number("Trial", "pulse_level", self.pulse_level)
+        for field in ("repetition", "order", "seed"):
             require_number("Trial", field, getattr(self, field), at_least=0)
             require_whole("Trial", field, getattr(self, field), at_least=0)
-        if self.noise is not None and not isinstance(self.noise, HumanNoise):
-            raise TypeError(f"Trial: noise = {self.noise!r}; expected HumanNoise or None")
+        require_type("Trial: noise", self.noise, (HumanNoise, NoneType), "HumanNoise or None")
         require_number("Trial", "contraction", self.contraction, at_least=0.0, at_most=1.0, optional=True)
 
     def generator(self, source: int) -> np.random.Generator:

@@ -357,8 +357,8 @@ class ArmPerturbDmEnv(composer.Environment):
         require_state(type(self).__name__, state, {"settings": self.task.settings}, self.STATE)
         try:
             random, options, _ = state["began"] or (state["random"], {}, [])
-            for one in (random, state["random"]):
-                copy.deepcopy(self.random_state).set_state(one)
+            for numbers in (random, state["random"]):
+                copy.deepcopy(self.random_state).set_state(numbers)
             self.task.require_episode(options, state["actions"])
             self.task.require_episode(state["next"], [])
         except (LookupError, TypeError, ValueError) as error:

@@ -220,7 +220,7 @@ def moment(settings: TaskSettings, subject: Subject | None, watched: Sequence[Ar
         raise RuntimeError("render: no trial has begun; expected reset first")
     now = Moment(1.0 / settings.control_rate)
     now.begin(subject)
-    now.trail.extend(one[2:4] for one in watched[:-1])
+    now.trail.extend(row[2:4] for row in watched[:-1])
     now.update(*watched[-1].reshape(len(WATCHED), 2))
     return now
 

@@ -204,7 +204,7 @@ class ArmPerturbVectorEnv(KnownLength, Saved, VectorEnv):
             moment(self.settings, subject if begun else None, [now])
             for subject, now in zip(self._subjects, watched, strict=True)
         ]
-        return tuple(self._live_view.picture(one, *self._picture) for one in moments)
+        return tuple(self._live_view.picture(moment, *self._picture) for moment in moments)
 
     def close_extras(self, **_: Any) -> None:
         """Close what rendering opened."""

@@ -22,9 +22,11 @@ import xarray as xr
 from armperturb.analysis.arm.geometry import hand_jacobian
 from armperturb.analysis.arm.linear_arm import arm_admittance
 from armperturb.analysis.arm.state_space import largest_real_pole
+from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.measures.endpoint import EndpointMatrix
 from armperturb.analysis.response.estimate import response
 from armperturb.analysis.results import Description, Result, Table
+from armperturb.analysis.trials import prepared_condition
 from armperturb.arrays import Array, ComplexArray
 from armperturb.cohort import draw_person, draw_subject
 from armperturb.environment import Environment
@@ -34,7 +36,7 @@ from armperturb.perturbations import Sampled
 from armperturb.plots.style import COLOURS, GREY, INK, PALE, figure_for, in_style
 from armperturb.recording import named
 from armperturb.subject import POSITION, RELAX, TASKS, Subject
-from armperturb.validation import require_one_of
+from armperturb.validation import require_one_of, require_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -53,8 +55,6 @@ LOW = 6.0
 
 MATRICES = {"stiffness": "N/m", "damping": "Ns/m", "inertia": "kg"}
 JOINT_UNITS = {"k": "Nm/rad", "b": "Nms/rad", "i": "kg m^2"}
-SETTLED = 8.0
-"""Start of the window of all trials [s]."""
 
 GEOMETRY = ("l_h", "l_f", "theta_s_deg", "theta_e_deg")
 """Labels of a recording that say where the joints are."""
@@ -143,13 +143,16 @@ def compare(recording: xr.Dataset | Sequence[xr.Dataset], reference: str = "peop
       seed: of whom is drawn.
 
     Raises:
-      ValueError: reference is something else, nobody has the arm's posture, or as `response`.
+      TypeError: recording is no `Dataset`, or seed no whole number.
+      ValueError: reference is something else, seed is negative, nobody has the arm's posture, or as `response`.
     """
     require_one_of("compare", "reference", reference, REFERENCES)
-    first = recording if isinstance(recording, xr.Dataset) else recording[0]
+    require_whole("compare", "seed", seed, at_least=0)
+    several = prepared_condition(recording)
+    first = several[0].recording
     task = str(first["task"].values[0])
     require_one_of("recording", "task", task, TASKS)
-    estimate = response(recording, window_start=SETTLED)
+    estimate = response(several, window_start=WINDOW_START)
     chosen = estimate.frequency <= HIGHEST
     frequency, admittance = estimate.frequency[chosen], estimate.response[chosen]
     geometry: dict[str, Any] = {name: float(first[name].values[0]) for name in GEOMETRY}
@@ -169,7 +172,7 @@ def compare(recording: xr.Dataset | Sequence[xr.Dataset], reference: str = "peop
     each = [_quantities(frequency, response_of_one, arm) for response_of_one in of_people]
     table = _table(values, each)
     return Likeness(
-        label=named(recording),
+        label=named([trials.recording for trials in several]),
         reference=reference,
         task=task,
         frequency=frequency,
@@ -202,7 +205,7 @@ def _under_the_same_force(people: Sequence[Subject], recording: xr.Dataset, freq
     rate = float(recording.attrs["rate"])
     force = Sampled(force=recording["perturbation"].values[0], rate=rate)
     recorded = run_experiment([Trial(subject=person, perturbation=force) for person in people], engine="compiled")
-    each = (response(recorded.isel(trial=[i]), window_start=SETTLED) for i in range(len(people)))
+    each = (response(recorded.isel(trial=[i]), window_start=WINDOW_START) for i in range(len(people)))
     return np.stack([estimate.at(frequency).response for estimate in each])
 
 

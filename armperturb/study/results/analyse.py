@@ -228,11 +228,11 @@ class _Study:
         ]
         results = zip(self.paths, kept_or_computed(units, pool, bar), strict=True)
         people = dict(sorted(results, key=lambda item: item[1].measures.name))
-        for (path, one), (other, another) in itertools.combinations(people.items(), 2):
-            name = one.measures.name
+        for (path, person), (other, another) in itertools.combinations(people.items(), 2):
+            name = person.measures.name
             if name == another.measures.name:
                 raise ValueError(f"{path} and {other.name} are of subject {name!r}; expected one recording per person")
-            if one.measures.cells and one.measures.cells == another.measures.cells:
+            if person.measures.cells and person.measures.cells == another.measures.cells:
                 raise ValueError(f"{path} and {other.name} hold the same trials; expected one recording per person")
         return people
 

@@ -169,7 +169,7 @@ def test_profile_is_zero_at_the_estimate_and_384_at_the_limits_of_the_interval(p
 
 def late_by(remarks):
     """Skew that is remarked upon [ms]."""
-    (found,) = [re.search(r"RT7.5: force is recorded ([\d.]+) ms later", remark) for remark in remarks]
+    (found,) = [re.search(r"^(?:force|displacement) is recorded ([\d.]+) ms", remark) for remark in remarks]
     return float(found[1])
 
 
@@ -183,6 +183,15 @@ def test_skew_of_the_clocks_is_remarked_upon(relax, relax_group):
         late[name].values[:] = np.fft.irfft(spectrum, 12000, axis=1)[:, : relax.sizes["time"]]
     remarks = estimate([group_of(late, "1")], "frequency").remarks
     assert late_by(remarks) == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_force_of_wrong_scale_is_remarked_upon(relax):
+    louder = relax.copy(deep=True)
+    louder["force"] *= 1.1
+    found = estimate([group_of(louder, "1")], "frequency")
+    (imbalance,) = found.imbalance.values()
+    assert imbalance.text in found.remarks
+    assert "10 % too large" in imbalance.text
 
 
 def test_intervals_contain_what_is_unknown_of_the_manipulator():

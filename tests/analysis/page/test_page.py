@@ -20,6 +20,7 @@ from armperturb.analysis.fit.diagnosis import diagnose
 from armperturb.analysis.fit.frequency_bands import BandOfLack
 from armperturb.analysis.fit.group import parts_by_condition
 from armperturb.analysis.fit.identify import Identifications, identify_conditions
+from armperturb.analysis.imbalance import Imbalance
 from armperturb.analysis.page.data_check import check_data
 from armperturb.analysis.page.page import WORDS, Origin, write_page
 from armperturb.analysis.page.verdict import likely_causes, nonlinearity, unknowns, verdict
@@ -211,6 +212,47 @@ def test_verdicts_in_words(identified):
     assert verdict(fine, right).level == "trust"
     assert verdict(fine, [*right, BandOfLack(2.0, 3.0, 500.0)]).level == "reject"
     assert verdict(with_fit(converged=False), ()).level == verdict(with_fit(stable=False), ()).level == "reject"
+
+
+def test_what_is_wrong_with_the_balance_caps_the_verdict(identified):
+    results, trials = identified
+    (_, found), part = next(iter(results.items())), trials["multisine"]
+    fits = replace(found.fit.detail, chi2=100.0, dof=100, arms={"multisine": found.fit.arm})
+    known = {name: 0.01 * abs(value) for name, value in found.fit.values.items()}
+    fine = replace(found, fit=replace(found.fit, detail=fits, standard_error=known))
+    gain, bands = Imbalance("gain", "force appears to be too large", 0.99, 0.15), ()
+    assert verdict(fine, bands, None).level == "trust"
+    assert verdict(fine, bands, gain).level == "reject"
+    assert verdict(fine, bands, gain).text.startswith("Force appears to be too large, ")
+    assert verdict(fine, bands, gain._replace(bias=0.04)).level == "care"  # however well parameters are known
+    unsure = {name: 0.1 * abs(value) for name, value in fine.fit.values.items()}
+    unknown = replace(fine, fit=replace(fine.fit, standard_error=unsure))
+    assert verdict(unknown, bands, gain).level == "trust"  # within the intervals
+    late = Imbalance("force", "force is recorded 1.00 ms later", 0.99, 0.001, 1e-3, 1e-5)
+    assert verdict(unknown, bands, late).level == "care"
+    assert verdict(fine, bands, late._replace(delay=1e-2, bias=gain.bias)).level == "reject"
+    unstable = replace(fine, fit=replace(fine.fit, stable=False))
+    assert verdict(unstable, bands, late).level == "reject"
+    assert verdict(unstable, bands, late).text.startswith("Force is recorded 1.00 ms later, ")
+    check, diagnosis = check_data(part, 8.0), diagnose(found, part)
+    assert check.imbalance is None
+    for wrong, name in ((gain, "force balance"), (late, "clocks")):
+        cause = likely_causes(fine, check._replace(imbalance=wrong), diagnosis, None)[0]
+        assert (cause.name, cause.supported) == (name, True)
+        assert cause.evidence.startswith("Force ")
+
+
+def test_a_force_that_is_late_or_too_large_is_found_in_the_trials(identified):
+    _, trials = identified
+    recording = trials["multisine"][0].recording
+    force = recording["force"]
+    for changed, kind in ((1.15 * force.values, "gain"), (np.roll(force.values, 1, axis=1), "force")):
+        part = parts_by_condition(recording.assign(force=force.copy(data=changed)))["multisine"]
+        check = check_data(part, 8.0)
+        assert check.imbalance.kind == kind
+        assert check.imbalance.bias > 0.05
+        assert math.isfinite(check.skew.standard_error) == (kind == "force")
+        assert check.skew.time == pytest.approx(0.0 if kind == "gain" else 1 / check.rate, abs=1e-5)
 
 
 def test_causes_come_in_order_with_what_the_data_say(identified):

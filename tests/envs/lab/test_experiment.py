@@ -501,8 +501,42 @@ def test_bad_input_is_named(trials, options, message):
         ({"seed": "1"}, TypeError, "Trial: seed = '1'; expected a number"),
         ({"order": 1.5}, TypeError, "Trial: order = 1.5; expected a whole number"),
         ({"noise": 0.3}, TypeError, r"Trial: noise = 0.3; expected HumanNoise or None"),
+        ({"subject": None}, TypeError, "Trial: subject = None; expected a Subject"),
+        ({"perturbation": None}, TypeError, "Trial: perturbation = None; expected a perturbation, e.g. Multisine"),
+        ({"condition": np.nan}, TypeError, "Trial: condition = nan; expected a text"),
+        ({"condition": "a\nb"}, ValueError, "Trial: condition = .*; expected a text of at most 100 printable"),
+        ({"repetition": -1}, ValueError, "Trial: repetition = -1; expected a finite number at least 0"),
+        ({"pulse_level": np.nan}, ValueError, "Trial: pulse_level = nan; expected a finite number"),
     ],
 )
 def test_bad_trials_are_named(change, error, message):
     with pytest.raises(error, match=message):
         replace(mixed_trials()[0], **change)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"n_threads": -1}, "n_threads = -1; expected a finite number at least 0"),
+        ({"n_threads": 1.5}, "n_threads = 1.5; expected a whole number"),
+        ({"linear": "yes"}, "linear = 'yes'; expected True or False"),
+        ({"environment": 5}, "environment = 5; expected Environment or None"),
+        ({"instruments": True}, "instruments = True; expected Instruments or None"),
+        ({"strap": 1.0}, "strap = 1.0; expected Strap or None"),
+    ],
+)
+def test_options_of_another_type_are_named(options, message):
+    with pytest.raises((TypeError, ValueError), match=f"run_experiment: {message}"):
+        run_experiment(mixed_trials()[:1], **options)
+
+
+def test_trials_come_from_any_iterable_and_are_trials():
+    trial = Trial(subject=RELAX, perturbation=small_multisine(1.0))
+    expected = run_experiment([trial], linear=True)
+    for given in ((each for each in [trial]), trial):
+        assert run_experiment(given, linear=True).identical(expected)
+    for given, message in ((None, "trials = None; expected Trials"), ([trial, 1], "a trial = 1; expected a Trial")):
+        with pytest.raises(TypeError, match=message):
+            run_experiment(given)
+    with pytest.raises(ValueError, match="trials is empty"):
+        run_experiment(iter([]))

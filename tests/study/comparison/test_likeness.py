@@ -49,3 +49,9 @@ def test_a_posture_that_nobody_has_is_refused_with_the_option_that_mends_it():
     turned = linear_trial(ap.POSITION).assign_coords(theta_s_deg=("trial", [-130.0]))
     with pytest.raises(ValueError, match=r"theta_s_deg = -130\.0; expected .* at least -90 .*--turn-deg"):
         ap.compare(turned, "thesis")
+
+
+def test_a_seed_that_is_none_is_refused_as_such():
+    for seed, message in ((-1, "seed = -1; expected .* at least 0"), (1.5, "seed = 1.5; expected a whole number")):
+        with pytest.raises((TypeError, ValueError), match=f"compare: {message}"):
+            ap.compare(None, "thesis", seed=seed)
