@@ -17,6 +17,7 @@ is seen in the balance as well, as a delay that no m, b and k explain. So is wha
 manipulator, see `imbalance`.
 """
 
+import itertools
 from functools import cached_property
 from typing import Any, NamedTuple, Self
 
@@ -35,6 +36,10 @@ BAND = (0.2, 0.25)
 
 ROUNDS = 3
 """How often environment and noise levels are estimated in turn: the former hardly depends on the latter."""
+
+EMPTY, LEAST_FULL = 0.3, 30.0
+"""Share of what one half of a band makes one expect of the other at whose end it is empty [-], and the frequency from
+which on that is looked for [Hz]: people and perturbations leave more than white noise below."""
 
 LEFT_OVER = 0.2
 """Share of the load's power at low frequencies from which on there is no balance [-]; noise leaves under 0.01."""
@@ -156,10 +161,11 @@ class Balance:
         # Low frequencies first.
         slow = self._roots[: self._n_slow, :, :4].reshape(-1, 4)
         values = np.asarray(np.linalg.lstsq(slow[:, 1:], -slow[:, 0], rcond=None)[0], dtype=float)
-        levels = self._levels(values)
+        n = self._n_full(values)
+        levels = self._levels(values, n)
         for _ in range(ROUNDS):
-            values = self._most_likely(values, levels)
-            levels = self._levels(values)
+            values = self._most_likely(values, levels, n)
+            levels = self._levels(values, n)
         mass, damping, stiffness = map(float, values)
         sign = "force must be the reaction force that the handle exerts on the hand: the environment sees d - f"
         if not mass > 0.0:
@@ -175,7 +181,8 @@ class Balance:
     @property
     def _n_slow(self) -> int:
         """Number of low frequencies, where noise hardly matters."""
-        return max(20, len(self._roots) // 5)
+        moving = int(np.searchsorted(self._omega, 2 * np.pi * LEAST_FULL))
+        return max(20, min(len(self._roots) // 5, moving))
 
     def unexplained(self, environment: Environment) -> float:
         """Share of the load's power at low frequencies that mass, damping and stiffness leave [-]."""
@@ -193,19 +200,34 @@ class Balance:
         stiff = np.abs(values @ self._band_powers) ** 2
         return np.asarray(levels.force**2 + stiff * levels.displacement**2)
 
-    def _most_likely(self, values: Array, levels: NoiseLevels) -> Array:
+    def _n_full(self, values: Array) -> int:
+        """Number of frequencies below those that a low-pass, or resampling to a higher rate, has emptied.
+
+        White noise of the instruments fills all of them, and would be found far too small with empty ones.
+        """
+        sizes = [len(self._omega)]
+        while self._omega[sizes[0] // 2] > 2 * np.pi * LEAST_FULL:
+            sizes.insert(0, sizes[0] // 2)
+        for n, wider in itertools.pairwise(sizes):
+            density = self._density(values, self._levels(values, n))
+            last = slice(3 * wider // 4, wider)
+            if np.mean(np.sum(self._noise(values)[last] ** 2, axis=1) / density[last]) < EMPTY:
+                return n
+        return sizes[-1]
+
+    def _most_likely(self, values: Array, levels: NoiseLevels, n: int) -> Array:
         scale = np.abs(values) + 1e-3
 
         def residual(relative: Array) -> Array:
             now = relative * scale
-            return np.ravel(self._noise(now) / np.sqrt(self._density(now, levels))[:, None])
+            return np.ravel(self._noise(now)[:n] / np.sqrt(self._density(now, levels)[:n, None]))
 
         return np.asarray(optimize.least_squares(residual, values / scale, x_scale="jac").x * scale)
 
-    def _levels(self, values: Array) -> NoiseLevels:
-        """Levels that are most likely for the periodogram of the balance (Whittle)."""
-        power = np.sum(self._noise(values) ** 2, axis=1)
-        shapes = np.stack([np.ones_like(power), np.abs(values @ self._band_powers) ** 2], axis=1)
+    def _levels(self, values: Array, n: int) -> NoiseLevels:
+        """Levels that are most likely for the periodogram of the balance (Whittle) at the first n frequencies."""
+        power = np.sum(self._noise(values)[:n] ** 2, axis=1)
+        shapes = np.stack([np.ones_like(power), np.abs(values @ self._band_powers[:, :n]) ** 2], axis=1)
 
         def deviance(logarithms: Array) -> tuple[float, Array]:
             parts = shapes * np.exp(logarithms)

@@ -18,6 +18,9 @@ from armperturb.convert.sidecar import FIRST, Sidecar, Signal
 from armperturb.convert.tables import Repair
 from armperturb.recording import TRIAL_COORDINATES, make_recording
 
+MOST_TIMES = 50
+"""Most samples in the place of one."""
+
 MOST_RESAMPLING = 20_000
 """Largest number in the ratio of two sampling rates [-]."""
 
@@ -120,7 +123,7 @@ def resampled(trial: Timed, rate: float | None) -> Timed:
       rate: that is wanted [Hz]; None for that of the file.
 
     Raises:
-      ValueError: rates differ and none is wanted, or the ratio is not one of whole numbers.
+      ValueError: rates differ and none is wanted, or the ratio is too large or not one of whole numbers.
     """
     rates = {name: trial.rates[name] for name in trial.signals if name != "emg"}
     present = {*rates.values()}
@@ -132,6 +135,11 @@ def resampled(trial: Timed, rate: float | None) -> Timed:
     for name, of_signal in rates.items():
         if of_signal == target:
             continue
+        if target > MOST_TIMES * of_signal:
+            raise ValueError(
+                f"{trial.where}: rate = {target:g} Hz from {of_signal:g} Hz; expected at most {MOST_TIMES} times as "
+                "many samples, which tell no more"
+            )
         values, ratio = signals[name], Fraction(target / of_signal).limit_denominator(MOST_RESAMPLING)
         off = abs(float(ratio) / (target / of_signal) - 1.0) * len(values)
         if ratio.numerator > MOST_RESAMPLING or off > 0.01:

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy import signal
 
 from armperturb.analysis.force_balance import EDGE, Balance, NoiseLevels
 from armperturb.environment import Environment
@@ -110,6 +111,22 @@ def test_perfect_instruments_are_taken_as_they_are():
     # Also at the end, where the record breaks off amid movement.
     assert np.abs(balance.displacement(environment, levels) - path).max() < 2e-4 * np.abs(path).max()
     assert abs(balance.skew(environment, levels).time) < 1e-7
+
+
+@pytest.mark.parametrize("cutoff", [None, 40.0])
+def test_frequencies_without_noise_are_no_good_instruments(cutoff):
+    """Of recordings at a higher rate than their noise reaches, resampled or low-passed."""
+    path, load = moving(0)
+    rng = np.random.default_rng(1)
+    signals = [rng.normal(size=load.shape), path + LEVELS.displacement * rng.normal(size=path.shape)]
+    signals.insert(1, signals[0] - load + LEVELS.force * rng.normal(size=load.shape))
+    signals = [signal.resample_poly(each, 10, 1, axis=1, padtype="line") for each in signals]
+    if cutoff is not None:
+        low_pass = signal.butter(2, cutoff, fs=10 * RATE, output="sos")
+        signals = [signal.sosfiltfilt(low_pass, each, axis=1) for each in signals]
+    environment, _ = Balance(*signals, 10 * RATE).fit()
+    assert environment.m_env == pytest.approx(ENVIRONMENT.m_env, rel=2e-3)
+    assert environment.k_env == pytest.approx(ENVIRONMENT.k_env, rel=0.03)
 
 
 def test_what_is_no_balance_is_refused():

@@ -281,6 +281,12 @@ WRONG = {
 }
 
 
+def test_rates_far_beyond_that_of_the_file_are_refused(tmp_path):
+    path = write(tmp_path, table(), meaning())
+    with pytest.raises(ValueError, match=r"rate = 1e\+06 Hz from 200 Hz; expected at most 50 times as many samples"):
+        import_recording([path], rate=1e6)
+
+
 @pytest.mark.parametrize("remedy", WRONG)
 def test_what_is_wrong_with_the_balance_is_named(remedy):
     trials = WRONG[remedy](table()).reshape(N_TRIALS, N_TIME, len(COLUMNS))
