@@ -103,6 +103,8 @@ def test_files_and_nonlinear_fits_take_recordings_alone(tmp_path, monkeypatch):
     for threads, message in ((-1, "threads = -1; expected .* at least 1"), (1.5, "threads = 1.5; expected a whole")):
         with pytest.raises((TypeError, ValueError), match=message):
             ap.identify_nonlinear(made(), threads=threads)
+    with pytest.raises(ValueError, match="law = 'choose' with parts = 32; expected a law"):
+        ap.identify_nonlinear(made(), "choose", parts=32)
     assert not list(tmp_path.iterdir())
 
 

@@ -21,6 +21,7 @@ from armperturb.analysis.nonlinear.spindle_emg import usable_emg
 from armperturb.analysis.nonlinear.start import linear_arms
 from armperturb.analysis.nonlinear.trials import fitted_conditions, training_sets
 from armperturb.analysis.results import Description, Result
+from armperturb.muscle_law import MuscleLaw
 from armperturb.planar_arm.simulation import load_compiled_arm
 from armperturb.recording import check_recording
 from armperturb.subject import Subject
@@ -115,6 +116,7 @@ def identify_nonlinear(
     emg_delay: float = 0.0,
     n_pairs: int = N_PAIRS,
     n_pairs_of_errors: int = N_PAIRS_OF_ERRORS,
+    parts: int = MuscleLaw.parts,
 ) -> NonlinearIdentification:
     """Fit a muscle law to all trials of one person, started from linear arms, and predict the pulses left out.
 
@@ -131,6 +133,7 @@ def identify_nonlinear(
       emg_delay: time by which muscles answer later than their EMG, beyond the activation dynamics [s].
       n_pairs: pairs of draws of the noise, see `fit`.
       n_pairs_of_errors: pairs of draws from which errors are estimated.
+      parts: elasto-plastic parts of each muscle group, see `Model`; another number cannot be used with "choose".
 
     Raises:
       TypeError: recording is no `Dataset`, or threads no whole number.
@@ -147,6 +150,8 @@ def identify_nonlinear(
         )
     if emg is not None and law in ("half-wave", "choose"):
         raise ValueError(f"law = {law!r} with EMG; expected full, short-range or linear (or the movement alone)")
+    if law == "choose" and parts != MuscleLaw.parts:
+        raise ValueError(f"law = 'choose' with parts = {parts!r}; expected a law (or {MuscleLaw.parts} parts)")
     directions = list(pulse_directions_deg)
     sets = fitted_conditions(recording)
     recorded = {float(deg) for trials in sets.values() for deg in trials.direction_deg if not np.isnan(deg)}
@@ -165,7 +170,7 @@ def identify_nonlinear(
         choice = compare_laws(fitted, arms, left_out, mechanisms=True, checkpoint=folder, **options)
         estimate = choice.estimate
     else:
-        model = Model(law=law, free=("Td",) if used else ())
+        model = Model(law=law, free=("Td",) if used else (), parts=parts)
         estimate = fit(fitted, arms, model, emg=used, checkpoint=folder and folder / "checkpoint.json.gz", **options)
     pulses: dict[str, list[PulsePrediction]] = {"nonlinear": [], "linear": [], "skeletal": []}
     everywhere = nearest_arms(list(sets.values()), arms)
