@@ -2,7 +2,6 @@
 
 import copy
 import pickle
-import threading
 
 import numpy as np
 import pytest
@@ -92,22 +91,11 @@ def test_refused_states_change_nothing():
     assert_same(onwards(env), onwards(other))
 
 
-def test_two_threads_in_one_environment_are_refused(monkeypatch):
+def test_two_threads_in_one_environment_are_refused(another_thread_within):
     env = loaded()
     env.reset()
     state, own = env.get_state(), env.task.own_action
-    inside, proceed = threading.Event(), threading.Event()
-
-    def wait(*_):
-        inside.set()
-        assert proceed.wait(60)
-        return 0.0
-
-    monkeypatch.setattr(env.task, "get_reward", wait)
-    thread = threading.Thread(target=env.step, args=(own,))
-    thread.start()
-    assert inside.wait(60)
-    try:
+    with another_thread_within(env.task, "get_reward", lambda: env.step(own)):
         for call in (
             lambda: env.step(own),
             env.reset,
@@ -119,10 +107,6 @@ def test_two_threads_in_one_environment_are_refused(monkeypatch):
         ):
             with pytest.raises(RuntimeError, match="another thread is using this environment"):
                 call()
-    finally:
-        proceed.set()
-        thread.join()
-    monkeypatch.undo()
     env.step(own)
 
 

@@ -143,24 +143,12 @@ def test_a_forked_child_goes_on_with_its_parents_vector():
 
 
 @pytest.mark.parametrize("make", [single, several])
-def test_two_threads_in_one_environment_are_refused(make, monkeypatch):
+def test_two_threads_in_one_environment_are_refused(make, another_thread_within):
     env = make()
     env.reset(seed=0)
     plain = env.unwrapped
-    simulation, state = plain._session.simulation, plain.get_state()
-    inside, proceed, advance = threading.Event(), threading.Event(), simulation.advance
-
-    def wait(known):
-        inside.set()
-        assert proceed.wait(60)
-        advance(known)
-
-    monkeypatch.setattr(simulation, "advance", wait)
-    action = np.zeros(env.action_space.shape, dtype=np.float32)
-    thread = threading.Thread(target=env.step, args=(action,))
-    thread.start()
-    assert inside.wait(60)
-    try:
+    state, action = plain.get_state(), np.zeros(env.action_space.shape, dtype=np.float32)
+    with another_thread_within(plain._session.simulation, "advance", lambda: env.step(action)):
         for call in (
             lambda: env.step(action),
             env.reset,
@@ -171,10 +159,6 @@ def test_two_threads_in_one_environment_are_refused(make, monkeypatch):
         ):
             with pytest.raises(RuntimeError, match="another thread is using this environment"):
                 call()
-    finally:
-        proceed.set()
-        thread.join()
-    monkeypatch.undo()
     env.step(action)
 
 
