@@ -208,10 +208,11 @@ class Balance:
         sizes = [len(self._omega)]
         while self._omega[sizes[0] // 2] > 2 * np.pi * LEAST_FULL:
             sizes.insert(0, sizes[0] // 2)
+        power = np.sum(self._noise(values) ** 2, axis=1)
         for n, wider in itertools.pairwise(sizes):
             density = self._density(values, self._levels(values, n))
             last = slice(3 * wider // 4, wider)
-            if np.mean(np.sum(self._noise(values)[last] ** 2, axis=1) / density[last]) < EMPTY:
+            if np.mean(power[last] / density[last]) < EMPTY:
                 return n
         return sizes[-1]
 

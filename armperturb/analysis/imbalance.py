@@ -32,6 +32,9 @@ WIDTH = 0.1
 FEWEST = 10
 """Excited bands below which nothing is compared."""
 
+ROUND_OFF = 1e-8
+"""Least noise, relative to the signal [-]."""
+
 LATEST, STEP = 0.15, 5e-3
 """Largest delay that is looked for, and step of that search [s]."""
 
@@ -187,7 +190,7 @@ def excited_spectra(signals: tuple[Array, Array, Array], rate: float, edge: int,
         for j, right in enumerate(columns[: i + 1]):
             sums = np.add.reduceat(np.sum(left * right.conj(), axis=0), first)[excited] / counts
             products[:, i, j], products[:, j, i] = sums, sums.conj()
-    round_off = [1e-8 * float(np.sqrt(np.mean(values**2))) for values in (signals[0] - signals[1], signals[2])]
+    round_off = [ROUND_OFF * float(np.sqrt(np.mean(values**2))) for values in (signals[0] - signals[1], signals[2])]
     middle = np.add.reduceat(frequency, first)[excited] / lines[excited]
     return Spectra(middle, products, counts, n_inner * float(np.sum(taper**4)), (round_off[0], round_off[1]))
 

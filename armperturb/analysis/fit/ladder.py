@@ -232,11 +232,11 @@ def choose_structure(
         for other in _neighbours(place):
             promising = refuted or fits[other].score < limit or sum(_rank(other)) < sum(_rank(place))
             if other not in tried and promising:
-                tried[other] = _sketched(group, other, fits[other], [tried[place], richest], method)
+                tried[other] = _sketched(group, other, fits[other], [tried[place], tried[RICHEST]], method)
         for other, rung in tried.items():
             # No structure is less likely than its special case: its search ended in the wrong place.
             special = min((tried[each] for each in tried if _is_special(each, other)), key=_objective, default=rung)
-            if _objective(special) < _objective(rung):
+            if _objective(special) < _objective(rung) - CLOSE:
                 tried[other] = min(rung, _sketched(group, other, fits[other], [special], method), key=_objective)
         scored = _scored(tuple(tried.values()))
         if scored[0][:3] == place:
