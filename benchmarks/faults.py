@@ -243,8 +243,10 @@ def failures(
                 counted = Fault(kind)
                 status, said, after = result(counted)
                 chosen = numbers(counted.places, most)
-                if status or result(Fault(kind, in_children=chosen))[2] != after:
-                    raise RuntimeError(f"{' '.join(command)}: {said or 'other files each time'}")
+                again = result(Fault(kind, in_children=chosen))
+                if status or again[2] != after:
+                    other = [name for name in {**after, **again[2]} if after.get(name) != again[2].get(name)]
+                    raise RuntimeError(f"{' '.join(command)}: {said}{again[1]}other files each time: {other}")
                 for number in chosen:
                     if (scratch / f"{kind} {number}").exists():
                         yield kind, number, ""
