@@ -9,6 +9,10 @@ from importlib.util import find_spec
 
 import pytest
 
+# Before NumPy is imported, as in the Makefile: two processes with two threads each wait for each other, and take five
+# times as long.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 SLOW_FIXTURES = {
     **dict.fromkeys(("study", "thesis_study", "thesis_report", "ideal"), "simulates and analyses a small study"),
     "estimate": "simulates and fits trials",
