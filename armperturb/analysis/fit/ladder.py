@@ -226,20 +226,26 @@ def choose_structure(
     tried = {RICHEST: richest}
     if place not in tried:
         tried[place] = _sketched(group, place, fits[place], [richest], method)
+    moved: set[Place] = set()
     while True:
         # If the trials refute a structure, the spectra that led to it tell too little of the others, too.
         refuted = _is_refuted(tried[place])
         for other in _neighbours(place):
             promising = refuted or fits[other].score < limit or sum(_rank(other)) < sum(_rank(place))
-            if other not in tried and promising:
-                tried[other] = _sketched(group, other, fits[other], [tried[place], tried[RICHEST]], method)
+            # Searches from a structure whose own had ended in the wrong place are begun again.
+            if (other in tried and place in moved) or (other not in tried and promising):
+                rung = _sketched(group, other, fits[other], [tried[place], tried[RICHEST]], method)
+                tried[other] = min(tried.get(other, rung), rung, key=_objective)
+        moved = set()
         for other, rung in tried.items():
             # No structure is less likely than its special case: its search ended in the wrong place.
             special = min((tried[each] for each in tried if _is_special(each, other)), key=_objective, default=rung)
             if _objective(special) < _objective(rung) - CLOSE:
                 tried[other] = min(rung, _sketched(group, other, fits[other], [special], method), key=_objective)
+                if _objective(tried[other]) < _objective(rung) - CLOSE:
+                    moved.add(other)
         scored = _scored(tuple(tried.values()))
-        if scored[0][:3] == place:
+        if scored[0][:3] == place and place not in moved:
             break
         place = scored[0][:3]
     best = scored[0]

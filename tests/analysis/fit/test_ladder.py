@@ -73,6 +73,15 @@ def test_a_structure_is_found_where_its_usual_starts_lead_astray(example):
     assert 0.02 < fit.values["Td_s"] < 0.045
 
 
+@pytest.mark.slow(reason="fits many structures to long trials")
+def test_neighbours_are_searched_again_from_a_structure_that_was_found_late():
+    """The first searches of this arm, of the richest structure and from it, all end in the wrong place."""
+    setup = draw_foreign(731)
+    fit = identify(setup.recording()).fit
+    assert fit.choice.chosen[:3] == ("free", setup.truth["grip"], setup.truth["reflex"])
+    assert not fit.detail.is_suspicious
+
+
 def test_loss_on_left_out_trials_is_that_of_leaving_them_out():
     """A linear problem, where the loss is exact but for what is of second order in the share of a trial."""
     rng = np.random.default_rng(0)
