@@ -312,6 +312,7 @@ _SIMULATE = ["simulate", "--subject", "person.toml", "--perturbation", "push.csv
 _VIDEO = ["video", "made/recordings/S01.nc", "--start", "1", "--stop", "1.2", "--size", "320", "240", "--view", "top"]
 _REPORT = ["report", "made", "--workers", "1"]
 _LIMITS = ["--goal", "intrinsic", "--force", "5", "--displacement", "0.01", "--duration", "20"]
+VALIDATE = ["validate", "--groups", "2", "--trials", "1", "--estimators", "frequency"]
 
 COMMANDS = {
     # Not to MATLAB, whose header holds the date.
@@ -340,6 +341,10 @@ COMMANDS = {
     ),
     "design": ([], ["design", "--subject", "person.toml", *_LIMITS, "--out", "o"]),
     "report": (_REPORT, _REPORT),
+    "joint": ([], ["joint", "--duration", "20", "--out", "o.nc"]),
+    "compare": ([], ["compare", "r.nc", "--with", "thesis", "--out", "o"]),
+    "validate": ([], [*VALIDATE, "--workers", "1", "--out", "o"]),
+    "live": ([], ["live", "--out", "o.html"]),
     "calibrate": ([], ["calibrate", "--multisines", "1", "--iterations", "1", "--out", "o.toml"]),
 }
 """Name to the command that ran before, and the command that fails."""

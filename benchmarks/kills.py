@@ -36,7 +36,7 @@ from armperturb import cli
 from armperturb.study.protocol import THESIS
 from armperturb.study.recording.folder import SUMS
 from benchmarks.faults import COMMANDS as FAILED
-from benchmarks.faults import REMOVED, contents, laboratory
+from benchmarks.faults import REMOVED, VALIDATE, contents, laboratory
 from benchmarks.kept_rows import Row, with_kept_rows
 
 SIGNALS = (signal.SIGKILL, signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -45,16 +45,12 @@ PATIENCE, AFTERWARDS = 300.0, 10.0
 """Time that a command may take, and that what it has started may last longer [s]."""
 
 _STUDY = ["study", "--protocol", "tiny.toml", "--subjects", "2", "--block", "2", "--workers", "2", "--record-only"]
-_VALIDATE = ["validate", "--groups", "2", "--trials", "1", "--estimators", "frequency", "--workers", "2"]
 _DESIGN = ["--goal", "mass", "--force", "5", "--displacement", "0.01", "--duration", "9.2"]
 
 COMMANDS = {
     **FAILED,
     "study": ([], [*_STUDY, "--out", "o"]),
-    "joint": ([], ["joint", "--duration", "20", "--out", "o.nc"]),
-    "compare": ([], ["compare", "r.nc", "--with", "thesis", "--out", "o"]),
-    "validate": ([], [*_VALIDATE, "--out", "o"]),
-    "live": ([], ["live", "--out", "o.html"]),
+    "validate": ([], [*VALIDATE, "--workers", "2", "--out", "o"]),
     "design": ([], ["design", "--subject", "person.toml", *_DESIGN, "--out", "o"]),
 }
 """Name to the command that ran before, and the command that is stopped."""
