@@ -243,10 +243,10 @@ def failures(
                 counted = Fault(kind)
                 status, said, after = result(counted)
                 chosen = numbers(counted.places, most)
-                again = result(Fault(kind, in_children=chosen))
-                if status or again[2] != after:
-                    other = [name for name in {**after, **again[2]} if after.get(name) != again[2].get(name)]
-                    raise RuntimeError(f"{' '.join(command)}: {said}{again[1]}other files each time: {other}")
+                again = result(Fault(kind, in_children=chosen))[2]
+                if status or again != after:
+                    other = [name for name in {**after, **again} if after.get(name) != again.get(name)]
+                    raise RuntimeError(f"{' '.join(command)}: status {status}, files that differ: {other}; {said}")
                 for number in chosen:
                     if (scratch / f"{kind} {number}").exists():
                         yield kind, number, ""
