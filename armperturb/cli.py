@@ -1,6 +1,7 @@
 """The command line: the list of commands, and `main`."""
 
 import ast
+import functools
 import importlib
 import importlib.metadata
 import io
@@ -271,6 +272,7 @@ def _usable_terminal() -> Iterator[None]:
                 os.environ["COLUMNS"] = width
 
 
+@functools.cache
 def _without_options(name: str) -> type:
     """A command that is not typed: what the list of commands shows of it, without its module."""
     source = Path(__file__).with_name("commands") / f"{name}.py"

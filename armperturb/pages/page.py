@@ -6,6 +6,7 @@ from importlib import metadata
 from typing import Any, NamedTuple, Self
 
 import jinja2
+from jinja2.bccache import Bucket
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
@@ -38,6 +39,23 @@ class Picture(NamedTuple):
         return f"data:image/svg+xml;base64,{base64.b64encode(self.svg.encode()).decode('ascii')}"
 
 
+class _CompiledTemplates(jinja2.BytecodeCache):
+    """Templates that were compiled for one page serve the next ones."""
+
+    def __init__(self) -> None:
+        self._compiled: dict[str, bytes] = {}
+
+    def load_bytecode(self, bucket: Bucket) -> None:
+        if bucket.key in self._compiled:
+            bucket.bytecode_from_string(self._compiled[bucket.key])
+
+    def dump_bytecode(self, bucket: Bucket) -> None:
+        self._compiled[bucket.key] = bucket.bytecode_to_string()
+
+
+_compiled_templates = _CompiledTemplates()
+
+
 def rendered(
     package: str,
     page: str,
@@ -62,6 +80,7 @@ def rendered(
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        bytecode_cache=_compiled_templates,
     )
     for name in ("chance", "digits", "fixed", "mean_sd", "signed", "symbol", "words"):
         environment.filters[name] = getattr(formats, name)
