@@ -211,7 +211,7 @@ def _imbalance(spectra: Spectra) -> Imbalance | None:
     weight = spectra.counts / none.density
     before, summed = 2.0 * float(weight @ none.power), _summed(spectra, weight)
     n_more = {kind: len(terms) - len(_LOAD) for kind, (_, terms) in _LINEAR.items()} | dict.fromkeys(_DELAYED, 1)
-    explained = {kind: before - _least_squares(summed, *of_kind)[1] for kind, of_kind in _LINEAR.items()}
+    explained = {kind: before - float(_least_squares(summed, *of_kind)[1]) for kind, of_kind in _LINEAR.items()}
     explained |= {kind: before - _Delayed(spectra, place, weight).nearest()[1] for kind, place in _DELAYED.items()}
     best, ratio, most = None, 0.0, max(explained.values())
     for kind, by_kind in explained.items():
@@ -257,17 +257,23 @@ def _summed(spectra: Spectra, weight: Array) -> Array:
     return np.asarray(np.einsum("b,bij->ij", weight, spectra.products.real))
 
 
-def _least_squares(summed: Array, base: Array, terms: list[Array]) -> tuple[Array, float]:
-    """Factors of terms that leave least of a base, (term,), and how much they leave, by products summed over bands."""
+def _least_squares(summed: Array, base: Array, terms: list[Array]) -> tuple[Array, Array]:
+    """Factors of terms that leave least of a base, (..., term), and how much they leave, (...,).
+
+    Products are summed over bands, (..., 10, 10).
+    """
     rows = np.stack([base, *terms])
-    inner = (rows @ summed).reshape(len(rows), -1) @ rows.reshape(len(rows), -1).T
-    scale = np.sqrt(np.diag(inner))
+    n = len(rows)
+    inner = (rows @ summed[..., None, :, :]).reshape(*summed.shape[:-2], n, -1) @ rows.reshape(n, -1).T
+    scale = np.sqrt(np.diagonal(inner, axis1=-2, axis2=-1))
     if not (scale > 0.0).all():
         raise np.linalg.LinAlgError("a signal is zero")
-    scaled = inner / np.outer(scale, scale)
-    factors = -np.linalg.lstsq(scaled[1:, 1:], scaled[1:, 0], rcond=1e-12)[0]
-    left = float(inner[0, 0]) * (1.0 + float(factors @ scaled[1:, 0]))
-    return np.asarray(factors * scale[0] / scale[1:]), left
+    scaled = inner / (scale[..., :, None] * scale[..., None, :])
+    of_base = scaled[..., 1:, 0]
+    inverse = np.linalg.pinv(scaled[..., 1:, 1:], rcond=1e-12, hermitian=True)
+    factors = -np.einsum("...ij,...j->...i", inverse, of_base)
+    left = inner[..., 0, 0] * (1.0 + np.sum(factors * of_base, axis=-1))
+    return factors * scale[..., :1] / scale[..., 1:], left
 
 
 def _fitted(spectra: Spectra, base: Array, terms: list[Array]) -> _Fit:
@@ -314,19 +320,19 @@ class _Delayed:
         self._summed = _summed(spectra, weight)
         self._cross = weight[:, None, None] * spectra.products[:, place, self._others]
 
-    def left(self, delay: float) -> float:
-        """What is left, weighted, if the signal is as late as given [s]."""
-        summed = self._summed.copy()
-        cross = np.tensordot(np.exp(self._turn * delay), self._cross, 1).real
-        summed[self._place, self._others], summed[self._others, self._place] = cross, cross.T
+    def left(self, delay: float | Array) -> Array:
+        """What is left, weighted, if the signal is as late as given [s], for each delay."""
+        cross = np.tensordot(np.exp(np.multiply.outer(delay, self._turn)), self._cross, 1).real
+        summed = np.broadcast_to(self._summed, (*np.shape(delay), 10, 10)).copy()
+        summed[..., self._place, self._others] = cross
+        summed[..., self._others, self._place] = cross.swapaxes(-1, -2)
         return _least_squares(summed, _BALANCE, _LOAD)[1]
 
     def nearest(self) -> tuple[float, float]:
         """Delay that leaves least, to `STEP`, and what it leaves."""
         delays = np.arange(-LATEST, LATEST + 0.5 * STEP, STEP)
-        left = [self.left(delay) for delay in delays.tolist()]
-        delay, _ = self.near(float(delays[np.argmin(left)]), STEP)
-        return delay, self.left(delay)
+        delay, _ = self.near(float(delays[np.argmin(self.left(delays))]), STEP)
+        return delay, float(self.left(delay))
 
     def near(self, delay: float, within: float) -> tuple[float, float]:
         """The same near a delay [s], and how quickly what is left grows around it [1/s^2]."""
@@ -334,7 +340,7 @@ class _Delayed:
         delay = float(optimize.minimize_scalar(self.left, bounds=bounds, method="bounded", options={"xatol": 1e-7}).x)
         step = 1e-4
         around = self.left(delay - step) - 2.0 * self.left(delay) + self.left(delay + step)
-        return delay, around / step**2
+        return delay, float(around) / step**2
 
 
 def _late(spectra: Spectra, kind: Kind, weight: Array) -> tuple[Imbalance, _Fit]:

@@ -8,6 +8,7 @@ Numbers that do not exist are NaN in tables and "nan" in files. Where the data s
 standard error is infinite and its interval reaches from minus to plus infinity ("inf" and "-inf" in files).
 """
 
+import functools
 import math
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
@@ -195,6 +196,7 @@ class FitResult(Result):
         return plot_parameters({str(label) or "all conditions": frame for label, frame in by_condition}, figure)
 
 
+@functools.lru_cache(maxsize=1024)
 def quantile(level: float, dof: float = math.inf) -> float:
     """Half a confidence interval over the standard error of a variable that has Student's t distribution [-].
 

@@ -6,6 +6,7 @@ declared one, the error message names it. An error in the orientation of all thr
 What is wrong by less, as a badly calibrated gauge or a late signal, is named by `imbalance`.
 """
 
+import functools
 import math
 from collections.abc import Sequence
 from itertools import permutations, product
@@ -241,14 +242,23 @@ def _row(place: int, of_signal: Array | None = None) -> Array:
 
 def _explained(gram: Array, of_force: Array, of_displacement: Array) -> _Explained:
     """Share of the load that mass, damping and stiffness leave, with other axes of force and displacement."""
-    terms = [_row(0) - _row(1, of_force), *(_row(place, of_displacement) for place in (2, 3, 4))]
-    weights, left, _ = _regression(gram, terms)
+    return _by_load(_inner(gram, _load_terms(of_force, of_displacement)))
+
+
+def _load_terms(of_force: Array, of_displacement: Array) -> Array:
+    """The load, and what it may move, with other axes of force and displacement, (term, 2, 10)."""
+    return np.stack([_row(0) - _row(1, of_force), *(_row(place, of_displacement) for place in (2, 3, 4))])
+
+
+def _by_load(inner: Array) -> _Explained:
+    weights, left = _regression(inner)
     return _Explained(left, float(weights[0]))
 
 
 def _remedy(gram: Array, least: float) -> str | None:
     """The smallest change of signs, axes or scale of the force that leaves at most so much, in words; None if none."""
-    tried = [(_in_words(*turned), _explained(gram, *turned)) for turned in product(_SIGNED, repeat=2)]
+    changed, terms = _turned()
+    tried = [(change, _by_load(inner)) for change, inner in zip(changed, _inner(gram, terms), strict=True)]
     gain, explained = _rescaled(gram)
     if gain > 0.0 and abs(np.log(gain)) > np.log(RESCALED) and explained.left < UNBALANCED:
         tried.append((f"force were multiplied by {gain:.4g} (the unit of one of the two forces)", explained))
@@ -256,6 +266,13 @@ def _remedy(gram: Array, least: float) -> str | None:
     best = min((left for _, left in changes), default=0.0)
     good = [entry for entry in changes if entry[1] <= 2.0 * best + 1e-3]
     return min(good, key=lambda entry: (entry[0].count(" and "), entry[1]))[0] if good else None
+
+
+@functools.cache
+def _turned() -> tuple[list[str | None], Array]:
+    """All changes of signs and axes in words, and their `_load_terms`, (change, term, 2, 10)."""
+    both = list(product(_SIGNED, repeat=2))
+    return [_in_words(*turned) for turned in both], np.stack([_load_terms(*turned) for turned in both])
 
 
 def _in_words(of_force: Array, of_displacement: Array) -> str | None:
@@ -280,19 +297,24 @@ def _change(name: str, matrix: Array) -> str | None:
 
 def _rescaled(gram: Array) -> tuple[float, _Explained]:
     """Factor on the force that explains the perturbation best, and how well it does."""
-    terms = [_row(place) for place in (0, 2, 3, 4, 1)]
-    weights, left, inner = _regression(gram, terms)
+    inner = _inner(gram, np.stack([_row(place) for place in (0, 2, 3, 4, 1)]))
+    weights, left = _regression(inner)
     gain = float(weights[-1])
     load = inner[0, 0] - 2.0 * gain * inner[0, 4] + gain**2 * inner[4, 4]
     return gain, _Explained(left * float(inner[0, 0] / load) if load > 0.0 else 1.0, float(weights[0]))
 
 
-def _regression(gram: Array, terms: Sequence[Array]) -> tuple[Array, float, Array]:
-    """Weights with which the other terms explain the first, the share of it that they leave, and inner products."""
-    inner = np.array([[np.sum((a @ gram) * b) for b in terms] for a in terms])
+def _inner(gram: Array, terms: Array) -> Array:
+    """Inner products of terms (..., term, 2, 10), (..., term, term)."""
+    rows = (*terms.shape[:-2], -1)
+    return np.asarray((terms @ gram).reshape(rows) @ terms.reshape(rows).swapaxes(-1, -2))
+
+
+def _regression(inner: Array) -> tuple[Array, float]:
+    """Weights with which the other terms explain the first, and the share of it that they leave."""
     scale = np.sqrt(np.diag(inner))
     if not (scale > 0.0).all():
-        return np.zeros(len(inner) - 1), 1.0, inner
+        return np.zeros(len(inner) - 1), 1.0
     scaled = inner / np.outer(scale, scale)
     weights = np.linalg.lstsq(scaled[1:, 1:], scaled[1:, 0], rcond=None)[0]
-    return np.asarray(weights * scale[0] / scale[1:]), max(1.0 - float(weights @ scaled[1:, 0]), 0.0), inner
+    return np.asarray(weights * scale[0] / scale[1:]), max(1.0 - float(weights @ scaled[1:, 0]), 0.0)

@@ -14,11 +14,11 @@ SINGULAR = 1e-9
 def applied(matrix: ComplexArray, values: ComplexArray) -> ComplexArray:
     """Matrices (row, column, frequency) times vectors (..., column, frequency)."""
     product = np.empty((*values.shape[:-2], len(matrix), values.shape[-1]), dtype=complex)
-    parts = np.moveaxis(values, -2, 0)
-    for of_row, out in zip(matrix, np.moveaxis(product, -2, 0), strict=True):
-        np.multiply(of_row[0], parts[0], out=out)
-        for factor, part in zip(of_row[1:], parts[1:], strict=True):
-            out += factor * part
+    for row, of_row in enumerate(matrix):
+        out = product[..., row, :]
+        np.multiply(of_row[0], values[..., 0, :], out=out)
+        for column in range(1, len(of_row)):
+            out += of_row[column] * values[..., column, :]
     return product
 
 
