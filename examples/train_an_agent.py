@@ -20,7 +20,7 @@ import armperturb  # registers the environments
 
 task = {
     "duration": 2.0,  # [s]; 50 decisions per second
-    "timestep": 2.5e-3,
+    "timestep": 5e-3,
     "senses": "physical",
     "co_contraction": "common",
     "reward": "cost",

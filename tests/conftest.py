@@ -37,6 +37,7 @@ def pytest_collection_modifyitems(items):
 
 def pytest_collection_finish():
     gc.freeze()  # what was imported for all tests need not be searched for garbage in each
+    gc.set_threshold(20_000, 20, 20)  # seldom: a study of small arrays makes little of it
 
 
 @pytest.fixture(scope="session")
@@ -82,6 +83,13 @@ def compiled_in_turns(once):
 def without_page(monkeypatch):
     """`identify` writes no page, which takes longer than a quick fit."""
     monkeypatch.setattr("armperturb.analysis.page.page.write_page", lambda *_: None)
+
+
+@pytest.fixture
+def blank_pictures(monkeypatch):
+    """Commands write pictures with nothing in them, as most of their time would pass with drawing."""
+    for place in ("armperturb.plots.style.svg", "armperturb.pages.page.svg"):
+        monkeypatch.setattr(place, lambda _: b"")
 
 
 @pytest.fixture(scope="session")

@@ -58,14 +58,18 @@ def check(folder):
         frequency, relaxed, armperturb.RELAX, "1", armperturb.Environment(), as_published=True, delay="pade"
     )
     assert fit.converged, fit
-    missing = set()
+    missing = {}
     for name in dir(armperturb):
         try:
             getattr(armperturb, name)
-        except MissingExtraError:
-            missing.add(name)
-    assert {"run_experiment", "run_study", "write_video"} <= missing
-    assert not {"identify", "response", "import_recording", "StudySettings", "design", "draw_cohort"} & missing
+        except MissingExtraError as error:
+            missing[name] = str(error)
+    assert {"run_experiment", "run_study", "write_video"} <= set(missing)
+    assert missing["build_model"] == (
+        "armperturb.build_model needs mujoco, which is not installed; expected `pip install 'armperturb[sim]'`"
+    )
+    there = {"identify", "response", "best_linear", "import_recording", "load_protocol", "StudySettings", "design"}
+    assert not {*there, "draw_cohort"} & set(missing)
     assert not LIBRARIES & set(sys.modules)
     print(f"the core is whole without {', '.join(sorted(missing))}")
 

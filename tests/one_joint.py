@@ -97,12 +97,12 @@ def smooth_random(rng, n, corner, order):
     return x / v.std(), v / v.std(), a / v.std()
 
 
-@njit(cache=False)
+@njit(cache=True)
 def _drive(v, threshold, side, halfwave):
     return side * max(side * v - threshold, 0.0) if halfwave else v
 
 
-@njit(cache=False)
+@njit(cache=True)
 def _reflex_torque(drive, delay, gain, wn, ratio, dt):
     """Second-order response to a delayed drive that is known at half steps, by RK4."""
     n = len(drive) // 2
@@ -128,7 +128,7 @@ def _reflex_torque(drive, delay, gain, wn, ratio, dt):
     return out
 
 
-@njit(cache=False)
+@njit(cache=True)
 def _slopes(state, push, drive, env, joint):
     """Derivatives of angle, velocity, reflex torque over its gain, and its rate."""
     inertia, damping, stiffness, gain, _, wn, ratio, _ = joint
@@ -138,7 +138,7 @@ def _slopes(state, push, drive, env, joint):
     return np.array([v, a, w, wn * wn * (drive - y) - 2 * ratio * wn * w])
 
 
-@njit(cache=False)
+@njit(cache=True)
 def _closed_loop(load, noise, env, joint, dt, halfwave, side):
     """Angle and torque of joint and device under a load, by RK4; signals are known at `FINE` instants in a sample."""
     inertia, damping, stiffness, gain, delay, _, _, threshold = joint

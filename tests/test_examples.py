@@ -10,14 +10,41 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armperturb import RELAX, identify, import_recording
+import armperturb
+from armperturb import RELAX
 from armperturb.analysis.response.closed_loop import estimate_multisine
 from armperturb.cohort import draw_person
+from armperturb.pages.page import Picture
 from armperturb.recording import REQUIRED_SIGNALS
+from armperturb.study.report.figures import rig as rig_figures
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES, TUTORIALS = ROOT / "examples", ROOT / "docs" / "tutorials"
 MAKE = runpy.run_path(str(TUTORIALS / "make.py"))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def each_once():
+    """Several of them read the same files and identify the same trials: once suffices."""
+    read, identify = armperturb.import_recording, armperturb.identify
+    recordings, identified = {}, {}
+
+    def read_once(paths, *, sidecar=None):
+        key = (*(Path(path).resolve() for path in paths), sidecar)
+        if key not in recordings:
+            recordings[key] = read(paths, sidecar=sidecar)
+        return recordings[key]
+
+    def identify_once(recording, model):
+        key = id(recording), model
+        if key not in identified:
+            identified[key] = recording, identify(recording, model)  # which keeps the recording, and so its id
+        return identified[key][1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(armperturb, "import_recording", read_once)
+        patch.setattr(armperturb, "identify", identify_once)
+        yield
 
 
 @pytest.mark.slow("simulates eight trials")
@@ -73,7 +100,10 @@ def test_fit_of_a_recording_finds_the_truth(tutorial):
 
 
 @pytest.mark.slow("simulates six trials and a study")
-def test_study_of_the_tutorial_is_reported_and_finds_the_truth(tutorial):
+def test_study_of_the_tutorial_is_reported_and_finds_the_truth(tutorial, studies, monkeypatch):
+    # Figures are made, but not drawn as SVG, which is most of a small report's time and tested with the report.
+    monkeypatch.setattr(rig_figures, "render", studies.plain_picture)
+    monkeypatch.setattr(Picture, "of", lambda figure: Picture("<svg/>", *map(float, figure.get_size_inches())))
     printed = tutorial("simulate_a_laboratory")
     low, high, true, share = map(
         float, re.search(r"linear muscles: k_s = (\S+) to (\S+) .* (\S+); .* (\S+)%", printed).groups()
@@ -162,7 +192,7 @@ def truth_of(data):
 @pytest.fixture(scope="module")
 def formats():
     return {
-        name: import_recording([DATA / file for file in files], sidecar=sidecar)
+        name: armperturb.import_recording([DATA / file for file in files], sidecar=sidecar)
         for name, (files, sidecar) in FORMATS.items()
     }
 
@@ -175,7 +205,7 @@ def test_data_are_read_without_a_note_and_are_what_their_readme_says(formats):
         assert imported.recording.sizes["trial"] == 2
         assert imported.recording.sizes["time"] == 6400
         np.testing.assert_allclose(imported.recording["l_f"], person.l_f, rtol=1e-8)
-    relax = import_recording([DATA / "relax.nc"]).recording
+    relax = armperturb.import_recording([DATA / "relax.nc"]).recording
     assert (relax.sizes["trial"], relax.sizes["time"]) == (4, 6700)
     assert relax["pulse_onset"].values.tolist() == [32.0] * 4
     assert truth_of("position")["m_tot"] == pytest.approx(person.m_h + person.m_f)
@@ -185,7 +215,7 @@ def test_data_are_read_without_a_note_and_are_what_their_readme_says(formats):
 @pytest.mark.slow("identifies the trials of four formats")
 def test_formats_that_hold_the_same_trials_give_the_same_estimates(formats):
     expected = formats["CSV"].recording
-    fit = identify(expected, "3b").fit
+    fit = armperturb.identify(expected, "3b").fit
     error = np.array([*fit.standard_error.values()])
     for name in ("MATLAB v5", "MATLAB v7.3", "C3D"):
         recording = formats[name].recording
@@ -194,7 +224,7 @@ def test_formats_that_hold_the_same_trials_give_the_same_estimates(formats):
         np.testing.assert_allclose(
             estimate_multisine(recording).response, estimate_multisine(expected).response, rtol=1e-4, atol=1e-9
         )
-        off = np.array([*identify(recording, "3b").fit.values.values()]) - [*fit.values.values()]
+        off = np.array([*armperturb.identify(recording, "3b").fit.values.values()]) - [*fit.values.values()]
         assert np.abs(off / error).max() < 1e-2
 
 

@@ -66,12 +66,17 @@ def test_displacement_has_the_wanted_size(kind):
     assert np.sqrt(np.mean(x**2)) == pytest.approx(setup.rms, rel=0.35)
 
 
+@pytest.fixture(scope="module")
+def setups():
+    return [draw_foreign(seed, period=6.0, duration=30.0, n_trials=6, rate=RATE, linear=True) for seed in range(4)]
+
+
 @pytest.mark.slow(reason="simulates many trials")
 @pytest.mark.parametrize("kind", ["multisine", "noise", "filtered noise"])
-def test_the_admittance_without_a_model_is_inside_its_circles(kind):
+def test_the_admittance_without_a_model_is_inside_its_circles(setups, kind):
     covered = []
-    for seed in range(4):
-        setup = draw_foreign(seed, kind=kind, period=6.0, duration=30.0, n_trials=6, rate=RATE, linear=True)
+    for setup in setups:
+        setup = replace(setup, kind=kind)
         method = "multisine" if kind == "multisine" else "noise"
         found = response(setup.recording(), method, window_start=0.0)
         inside = found.covers(admittance(setup.arm, found.frequency))
@@ -81,7 +86,7 @@ def test_the_admittance_without_a_model_is_inside_its_circles(kind):
 
 @pytest.mark.slow(reason="draws many arms")
 def test_loads_and_structures_are_all_drawn():
-    drawn = [draw_foreign(seed) for seed in range(40)]
+    drawn = [draw_foreign(seed) for seed in range(24)]
     assert {setup.truth["reflex"] for setup in drawn} == {"none", "velocity", "position"}
     assert {setup.truth["grip"] for setup in drawn} == {"rigid", "spring"}
     assert {setup.load for setup in drawn} == set(LOADS)

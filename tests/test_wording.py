@@ -28,40 +28,39 @@ def pages():
 
 
 @cache
-def nodes(path):
-    """Every node of a module's syntax tree."""
-    return tuple(ast.walk(ast.parse((ROOT / path).read_text(encoding="utf-8"))))
+def strings_and_names(path):
+    """(line, text) of each string of a module, docstrings and the constant parts of f-strings included; of each name.
 
-
-def strings(path):
-    """(line, text) of each string of a module, docstrings and the constant parts of f-strings included."""
-    for node in nodes(path):
-        if isinstance(node, ast.Constant) and isinstance(node.value, str):
-            yield node.lineno, node.value
+    The syntax tree, of which there are hundreds, isn't kept.
+    """
+    strings, names = [], []
+    for node in ast.walk(ast.parse((ROOT / path).read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Constant):
+            if isinstance(node.value, str):
+                strings.append((node.lineno, node.value))
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            names.append((node.lineno, node.id))
+        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+            names.append((node.lineno, node.attr))
+        elif isinstance(node, ast.arg | ast.alias):
+            names.append((node.lineno, node.arg if isinstance(node, ast.arg) else node.asname))
+        elif isinstance(node, ast.FunctionDef | ast.ClassDef):
+            names.append((node.lineno, node.name))
+    return strings, names
 
 
 def phrases(path):
     text = (ROOT / path).read_text(encoding="utf-8")
-    parts = [(1, text), *(strings(path) if path.endswith(".py") else ())]  # comments; joined strings
+    parts = [(1, text), *(strings_and_names(path)[0] if path.endswith(".py") else ())]  # comments; joined strings
     for line, part in parts:
         for match in PHRASES.finditer(part):
             yield f"{path}:{line + part.count(chr(10), 0, match.start())}: {match.group()}"
 
 
 def names(path):
-    for node in nodes(path):
-        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-            name = node.id
-        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
-            name = node.attr
-        elif isinstance(node, ast.arg | ast.alias):
-            name = node.arg if isinstance(node, ast.arg) else node.asname
-        elif isinstance(node, ast.FunctionDef | ast.ClassDef):
-            name = node.name
-        else:
-            continue
+    for line, name in strings_and_names(path)[1]:
         if name in NAMES:
-            yield f"{path}:{node.lineno}: {name}"
+            yield f"{path}:{line}: {name}"
 
 
 def remarks(find, paths):

@@ -137,6 +137,12 @@ def identified(request, noisy_relax_recording):
     return identify_conditions(noisy_relax_recording, "1", estimator=request.param)
 
 
+@pytest.fixture(scope="module")
+def written(identified, tmp_path_factory):
+    """Files of that identification by name."""
+    return {path.name: path for path in write_identification(identified, tmp_path_factory.mktemp("identification"))}
+
+
 def test_an_identification_reads_as_a_table(identified):
     assert isinstance(identified, Identifications)
     assert list(identified) == ["RT7.5", "RT22.5"]
@@ -157,12 +163,11 @@ def test_an_identification_reads_as_a_table(identified):
         require_readable(detail.fits[0])
 
 
-def test_every_estimator_has_the_same_table(identified, tmp_path):
-    paths = write_identification(identified, tmp_path)
-    written = pd.read_csv(paths[1])
+def test_every_estimator_has_the_same_table(identified, written):
+    read = pd.read_csv(written["parameters.csv"])
     frame = identified.to_frame()
-    assert tuple(written.columns) == tuple(frame.columns) == PARAMETER_COLUMNS
-    pd.testing.assert_frame_equal(written, frame)
+    assert tuple(read.columns) == tuple(frame.columns) == PARAMETER_COLUMNS
+    pd.testing.assert_frame_equal(read, frame)
     for condition, result in identified.items():
         part = frame[frame["condition"] == condition].set_index("parameter")
         assert part["value"].to_dict() == dict(result.fit.values)
@@ -172,11 +177,10 @@ def test_every_estimator_has_the_same_table(identified, tmp_path):
         assert part.loc["m_h", "unit"] == "kg"
 
 
-def test_impedance_at_the_hand_is_written(identified, tmp_path):
-    paths = {path.name: path for path in write_identification(identified, tmp_path)}
-    written = pd.read_csv(paths["endpoint.csv"])
+def test_impedance_at_the_hand_is_written(identified, written):
+    read = pd.read_csv(written["endpoint.csv"])
     frame = pd.concat([result.endpoint().to_frame() for result in identified.values()], ignore_index=True)
-    pd.testing.assert_frame_equal(written, frame)
+    pd.testing.assert_frame_equal(read, frame)
     result = identified["RT7.5"]
     stiffness, arm = result.endpoint()["stiffness"], result.fit.arm
     jacobian = hand_jacobian(arm)
@@ -184,7 +188,7 @@ def test_impedance_at_the_hand_is_written(identified, tmp_path):
     np.testing.assert_allclose(recorded, arm.joint_matrix("k"), rtol=1e-9)
     known = result.fit.estimator != "thesis"
     assert np.isfinite(stiffness.area_interval()).all() == known
-    assert b"<svg" in paths["endpoint.svg"].read_bytes()
+    assert b"<svg" in written["endpoint.svg"].read_bytes()
     require_readable(result.endpoint())
 
 

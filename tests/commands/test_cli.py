@@ -66,6 +66,7 @@ def test_a_warning_is_one_line_without_a_place_in_the_code(tmp_path, capsys, mon
 
 
 @pytest.mark.slow(reason="simulates a trial of 30 s and fits it")
+@pytest.mark.usefixtures("without_page", "blank_pictures")
 def test_simulate_then_identify(inputs, capsys):
     assert run(*simulate(inputs, "--ideal", perturbation="multisine.csv")) == 0
     assert run("identify", inputs / "out.nc", "--model", "3b", "--out", inputs / "results") == 0
@@ -215,7 +216,7 @@ def two_recordings(recording, tmp_path):
 
 
 @pytest.mark.slow(reason="fits two conditions together")
-@pytest.mark.usefixtures("without_page")
+@pytest.mark.usefixtures("without_page", "blank_pictures")
 def test_several_recordings_are_identified_together(two_recordings, tmp_path, capsys):
     common = ("identify", *two_recordings, "--model", "1", "--out", tmp_path / "r")
     assert run(*common, "--estimator", "frequency", "--share", "mass", "grip") == 0
@@ -234,7 +235,7 @@ def test_several_recordings_are_identified_together(two_recordings, tmp_path, ca
 
 
 @pytest.mark.slow(reason="fits each trial")
-@pytest.mark.usefixtures("without_page")
+@pytest.mark.usefixtures("without_page", "blank_pictures")
 def test_the_thesis_estimator_can_be_asked_for(two_recordings, tmp_path, capsys):
     whose = ("--subject", "S01", "--condition", "RT7.5")
     arguments = ("identify", two_recordings[0], "--model", "1", "--estimator", "thesis", *whose)
@@ -322,7 +323,7 @@ def test_bad_structures_end_in_one_line(tmp_path, capsys, options, message):
 
 
 @pytest.mark.slow(reason="identifies a recording three times")
-@pytest.mark.usefixtures("without_page")
+@pytest.mark.usefixtures("without_page", "blank_pictures")
 def test_a_structure_of_options_is_that_of_its_file(tmp_path):
     (tmp_path / "mine.toml").write_text("base = '1'\n[fixed]\nk_h = 'rigid'\n[prior]\nm_f = [1.8, 0.2]\n")
     common = ("identify", RECORDING, "--estimator", "frequency", "--out")
@@ -339,7 +340,7 @@ def test_a_structure_of_options_is_that_of_its_file(tmp_path):
 
 
 @pytest.mark.slow(reason="identifies a recording twice")
-@pytest.mark.usefixtures("without_page")
+@pytest.mark.usefixtures("without_page", "blank_pictures")
 def test_a_body_from_tables_narrows_the_inertia(tmp_path):
     free = ("--model", "1", "--fix", "m=0", "--free", "i")
     common = ("identify", RECORDING, "--estimator", "frequency", *free, "--out")
@@ -384,40 +385,40 @@ ctypes.CDLL.__init__ = load_others
 """
 
 
-def in_a_process(folder, backend, *commands):
-    """Stderr of commands that fail in a folder with a value of MUJOCO_GL and no display."""
-    unset = ("DISPLAY", "WAYLAND_DISPLAY", "PYOPENGL_PLATFORM")
-    clean = {name: value for name, value in os.environ.items() if name not in unset} | {"MUJOCO_GL": backend}
-    # As on a machine without OSMesa, whether or not it is there.
-    code = f"{WITHOUT_OSMESA}\nfrom armperturb.cli import main\nprint([main(command) for command in {commands}])"
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, env=clean, cwd=folder, check=True
-    )
-    assert done.stdout == f"{[1] * len(commands)}\n"
-    assert not list(folder.iterdir())
-    return done.stderr
-
-
 STUDY = ("study", "--out", "s", "--subjects", "1")
+# On other systems than Linux there is no OSMesa.
+ASKED = (
+    ("foo", ("identify", "none.nc", "--model", "1", "--out", "r")),
+    ("foo", STUDY),
+    *([("osmesa", STUDY)] if sys.platform == "linux" else ()),
+)
 
 
 @pytest.mark.slow(reason="a process of its own")
-@pytest.mark.skipif(sys.platform != "linux", reason="OSMesa is for Linux")
-def test_a_library_that_does_not_load_is_one_line(tmp_path):
-    said = in_a_process(tmp_path, "osmesa", STUDY)
-    assert said.startswith("armperturb: error: ")
-    assert said.endswith("with MUJOCO_GL=osmesa; on Debian or Ubuntu: apt-get install libosmesa6\n")
-    assert said.count("\n") == 1
-
-
-@pytest.mark.slow(reason="a process of its own")
-def test_an_unknown_library_is_one_line_and_identify_needs_none(tmp_path):
-    analysis, study = in_a_process(
-        tmp_path, "foo", ("identify", "none.nc", "--model", "1", "--out", "r"), STUDY
-    ).splitlines()
+def test_libraries_that_are_unknown_or_do_not_load_are_one_line_and_identify_needs_none(tmp_path):
+    unset = ("DISPLAY", "WAYLAND_DISPLAY", "PYOPENGL_PLATFORM", "MUJOCO_GL")
+    clean = {name: value for name, value in os.environ.items() if name not in unset}
+    # As on a machine without OSMesa, whether or not it is there.
+    code = f"""{WITHOUT_OSMESA}
+import os
+from armperturb.cli import main
+for backend, command in {ASKED}:
+    os.environ["MUJOCO_GL"] = backend
+    print(main(command))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=clean, cwd=tmp_path, check=True
+    )
+    assert done.stdout == "1\n" * len(ASKED)
+    assert not list(tmp_path.iterdir())
+    analysis, study, *more = done.stderr.splitlines()
     assert analysis.startswith("armperturb: error: none.nc: no such file")
     assert study.startswith("armperturb: error: ")
     assert study.endswith("MUJOCO_GL = 'foo'; expected egl, osmesa, glfw or off, or unset")
+    assert len(more) == len(ASKED) - 2
+    for line in more:
+        assert line.startswith("armperturb: error: ")
+        assert line.endswith("with MUJOCO_GL=osmesa; on Debian or Ubuntu: apt-get install libosmesa6")
 
 
 def test_a_file_that_cannot_be_written_is_named_as_the_user_did(tmp_path, monkeypatch):

@@ -4,9 +4,11 @@ import os
 import sys
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from armperturb import cli, files
+from armperturb.recording_files import load_recording, save_recording
 from benchmarks import faults
 from benchmarks.faults import COMMANDS, OPERATIONS, failures, laboratory, numbers
 
@@ -16,15 +18,18 @@ def inputs(tmp_path_factory):
     here, folder = os.getcwd(), tmp_path_factory.mktemp("lab")
     laboratory(folder, with_study=False)
     os.chdir(here)
+    # Six seconds of it, as the command is run dozens of times.
+    save_recording(load_recording(folder / "r.nc").isel(time=slice(1200)), folder / "r.nc")
+    table = pd.read_csv(folder / "foreign.csv")
+    table[table["t"] < 6.0].to_csv(folder / "foreign.csv", index=False)
     return folder
 
 
 @pytest.mark.slow(reason="three runs of a command, and many ends of it")
-@pytest.mark.parametrize("kind", OPERATIONS)
-def test_each_failure_leaves_what_was_there_or_what_is_new(inputs, kind):
-    found = list(failures(inputs, *COMMANDS["convert"], [kind], most=4))
-    assert len(found) >= 1
-    assert [text for *_, text in found if text] == []
+def test_each_failure_leaves_what_was_there_or_what_is_new(inputs):
+    found = list(failures(inputs, *COMMANDS["convert"], list(OPERATIONS), most=4))
+    assert {kind for kind, *_ in found} == set(OPERATIONS)
+    assert [each for each in found if each[-1]] == []
 
 
 @pytest.fixture

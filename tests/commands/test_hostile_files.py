@@ -67,11 +67,10 @@ HOSTILE = {
 }
 
 
-# All commands read recordings with the same function: two kinds of damage, or one, show that.
+# All commands read recordings with the same function: one kind of damage shows that.
 CASES = [
     *(("convert", name) for name in HOSTILE),
-    *((command, name) for command in ("identify", "response", "video", "report") for name in ("itself", "half")),
-    *((command, "itself") for command in ("score", "view")),
+    *((command, "itself") for command in ("identify", "response", "video", "report", "score", "view")),
 ]
 
 
@@ -79,7 +78,7 @@ CASES = [
 @pytest.mark.parametrize(("command", "name"), CASES)
 def test_each_ends_in_one_line(whole, tmp_path, capfd, monkeypatch, command, name):
     # What keeps the library busy for ever is given up earlier than users would be patient.
-    monkeypatch.setitem(read_foreign.__kwdefaults__, "seconds", 3.0)
+    monkeypatch.setitem(read_foreign.__kwdefaults__, "seconds", 1.0 if name == "a zeroed sector" else 3.0)
     monkeypatch.setattr(viewer, "require_display", lambda: None)
     (tmp_path / "recordings").mkdir()
     path = tmp_path / "recordings" / "S01.nc"

@@ -34,12 +34,21 @@ def path(recording, tmp_path_factory):
     return path
 
 
+@pytest.fixture(scope="module")
+def trial(recording):
+    """The first trial until its multisine has repeated once after the transient, and no pulse has come."""
+    without_pulse = {"pulse_level": 0.0, "pulse_direction": np.nan, "pulse_onset": np.nan}
+    cut = recording.isel(trial=[0], time=slice(5800), emg_time=slice(58_000))
+    return cut.assign_coords({name: ("trial", [value]) for name, value in without_pulse.items()})
+
+
 def table(folder):
     return pd.read_csv(folder / "parameters.csv").set_index("parameter")
 
 
 @pytest.mark.slow(reason="simulates three trials with EMG")
-def test_reflexes_become_better_known(path, tmp_path, without_page):
+@pytest.mark.usefixtures("without_page", "blank_pictures")
+def test_reflexes_become_better_known(path, tmp_path):
     for name, options in (("moved", ()), ("active", ("--emg",))):
         assert run("identify", path, *MODEL, *options, "--out", tmp_path / name) == 0
     moved, active = table(tmp_path / "moved"), table(tmp_path / "active")
@@ -54,35 +63,41 @@ def test_reflexes_become_better_known(path, tmp_path, without_page):
 
 
 @pytest.mark.slow(reason="simulates three trials with EMG")
-def test_without_emg_the_movement_is_identified_alone(recording, tmp_path, capsys, without_page):
-    silent = recording.assign(emg=recording["emg"] * np.float32(0.0))
-    silent["emg"].attrs = recording["emg"].attrs
+@pytest.mark.usefixtures("without_page", "blank_pictures")
+def test_without_emg_the_movement_is_identified_alone(trial, tmp_path, capsys):
+    silent = trial.assign(emg=trial["emg"] * np.float32(0.0))
+    silent["emg"].attrs = trial["emg"].attrs
     for name, changed, message in (
-        ("none", recording.drop_dims("emg_time"), "EMG is missing: the recording has no variable 'emg'"),
+        ("none", trial.drop_dims("emg_time"), "EMG is missing: the recording has no variable 'emg'"),
         ("silent", silent, "EMG is not used: all channels are zero; expected voltages"),
     ):
         save_recording(changed, tmp_path / f"{name}.nc")
-        assert run("identify", tmp_path / f"{name}.nc", *MODEL, "--emg", "--out", tmp_path / name) == 0
+        asked = ("--model", "1", "--estimator", "frequency", "--emg", "--out", tmp_path / name)
+        assert run("identify", tmp_path / f"{name}.nc", *asked) == 0
         said = capsys.readouterr().out
         assert message in said
         assert "the movement alone is used" in said
         assert (tmp_path / name / "parameters.csv").exists()
 
 
-@pytest.fixture(scope="module")
-def text(path, tmp_path_factory):
-    """The recording as text, as a laboratory may have it."""
-    folder = tmp_path_factory.mktemp("text")
-    assert run("convert", path, "--out", folder / "person.csv") == 0
-    return folder
-
-
 @pytest.mark.slow(reason="simulates three trials with EMG")
-def test_text_tells_what_the_recording_does(path, text, tmp_path, without_page):
-    for name in (path, text / "person.csv"):
-        assert run("identify", name, *MODEL, "--emg", "--out", tmp_path / name.suffix) == 0
-    ours, theirs = (table(tmp_path / suffix)["value"] for suffix in (".nc", ".csv"))
+@pytest.mark.usefixtures("without_page", "blank_pictures")
+def test_text_tells_what_the_recording_does(trial, tmp_path):
+    save_recording(trial.isel(muscle=slice(None, None, 2)), tmp_path / "person.nc")
+    assert run("convert", tmp_path / "person.nc", "--out", tmp_path / "person.csv") == 0
+    for name in ("person.nc", "person.csv"):
+        assert run("identify", tmp_path / name, *MODEL, "--emg", "--out", tmp_path / f"of {name}") == 0
+    ours, theirs = (table(tmp_path / f"of person{ending}")["value"] for ending in (".nc", ".csv"))
     np.testing.assert_allclose(theirs, ours, rtol=1e-3)
+
+
+@pytest.fixture(scope="module")
+def text(trial, tmp_path_factory):
+    """Six seconds of the trial as a recording and as text, as a laboratory may have it."""
+    folder = tmp_path_factory.mktemp("text")
+    save_recording(trial.isel(time=slice(1200), emg_time=slice(12_000)), folder / "person.nc")
+    assert run("convert", folder / "person.nc", "--out", folder / "person.csv") == 0
+    return folder
 
 
 @pytest.mark.slow(reason="simulates three trials with EMG")
@@ -143,5 +158,5 @@ def test_emg_that_ends_early_is_said_to(recording):
         (("--model", "nonlinear", "--emg", "--law", "half-wave"), "law = 'half-wave' with EMG; expected full"),
     ],
 )
-def test_what_cannot_be_is_refused(path, tmp_path, capsys, options, message):
-    assert message in refused(capsys, "identify", path, *options, "--out", tmp_path / "r")
+def test_what_cannot_be_is_refused(text, tmp_path, capsys, options, message):
+    assert message in refused(capsys, "identify", text / "person.nc", *options, "--out", tmp_path / "r")

@@ -10,7 +10,7 @@ from foreign_arms import Arm
 from foreign_recordings import Setup, write_csv
 from test_cli import refused, run
 
-SETUP = Setup(arm=Arm(), seed=3, n_trials=2, duration=24.0, linear=True)
+SETUP = Setup(arm=Arm(), seed=3, n_trials=2, duration=20.0, linear=True)
 LENGTHS = ("l_h", "l_f", "theta_s_deg", "theta_e_deg")
 RESPONSE = ("response",)
 IDENTIFY = ("identify", "--model", "1")
@@ -51,7 +51,7 @@ REFUSALS = {
     "late window": (
         RESPONSE,
         "fitting",
-        ("--window-start", "20"),
+        ("--window-start", "16"),
         r"period of 10 s \(an earlier --window-start\)",
     ),
     "wrong period": (RESPONSE, "fitting", ("--period", "7"), r"\(without --period it is found; .* --method noise\)"),
@@ -78,6 +78,7 @@ def test_noise_names_its_method(tmp_path, capsys):
 
 
 @pytest.mark.slow(reason="identifies trials")
+@pytest.mark.usefixtures("blank_pictures")
 def test_what_is_missing_in_a_table_names_the_repair(signals, tmp_path, capsys):
     d, f, x = (part[:1].copy() for part in signals)
     x[0, 1000:1010] = np.nan
@@ -88,7 +89,8 @@ def test_what_is_missing_in_a_table_names_the_repair(signals, tmp_path, capsys):
     assert run("response", tmp_path / "mended.nc", "--out", tmp_path / "r") == 0
 
 
-@pytest.mark.slow(reason="draws figures")
+@pytest.mark.slow(reason="estimates responses")
+@pytest.mark.usefixtures("blank_pictures")
 def test_a_response_needs_no_lengths_and_the_manipulator_is_printed(folder, tmp_path, capsys):
     frames = []
     for sidecar in ("lengthless", "fitting"):
@@ -100,22 +102,9 @@ def test_a_response_needs_no_lengths_and_the_manipulator_is_printed(folder, tmp_
     assert "manipulator 1.6 kg, 12 Ns/m, 60" in capsys.readouterr().out
 
 
-@pytest.mark.slow(reason="identifies a recording")
-def test_an_identification_prints_the_manipulator_and_writes_its_page(folder, tmp_path, capsys):
-    out = tmp_path / "results"
-    command = asked(folder, out, IDENTIFY, "fitting", "--period", "10.0")
-    assert run(*command) == 0
-    assert "multisine: manipulator 1.6 kg, 12 Ns/m, 60" in capsys.readouterr().out
-    page = (out / "identify.html").read_text(encoding="utf-8")
-    name, path, *options = map(str, command)
-    typed = page[page.index("<pre>") + 5 : page.index("</pre>")].split()
-    assert typed[:2] == ["armperturb", name]
-    assert set(typed[2:]) == {path, *options}
-
-
 @pytest.mark.slow(reason="tries all structures on a recording")
-def test_two_commands_lead_from_four_files_to_parameters_page_and_ellipse(tmp_path, capsys):
-    setup = replace(SETUP, n_trials=4)
+def test_two_commands_lead_from_files_to_parameters_page_and_ellipse(tmp_path, capsys):
+    setup = replace(SETUP, n_trials=3, lines="clusters")
     files = []
     for number, (d, f, x) in enumerate(zip(*setup.record(), strict=True)):
         files.append(tmp_path / f"t{number}.csv")
@@ -125,8 +114,17 @@ def test_two_commands_lead_from_four_files_to_parameters_page_and_ellipse(tmp_pa
     assert run("sidecar", files[0]) == 0
     said = capsys.readouterr().out
     assert f"for other files with these channels: --sidecar {tmp_path / 't0.json'}" in said
-    assert run("identify", *files, "--sidecar", tmp_path / "t0.json", "--out", tmp_path / "r") == 0
+    options = (
+        *("--sidecar", f"{tmp_path / 't0.json'}", "--out", f"{tmp_path / 'r'}"),
+        *("--period", "10.0", "--estimator", "frequency"),
+    )
+    assert run("identify", *files, *options) == 0
+    assert ": manipulator 1.6 kg, 12 Ns/m, 60" in capsys.readouterr().out
     assert {path.name for path in (tmp_path / "r").iterdir()} == {
         "admittance.csv", "arm.toml", "endpoint.csv", "endpoint.svg", "fit.json", "identify.html", "parameters.csv",
         "structure.toml",
     }  # fmt: skip
+    page = (tmp_path / "r" / "identify.html").read_text(encoding="utf-8")
+    typed = page[page.index("<pre>") + 5 : page.index("</pre>")].split()
+    assert typed[:5] == ["armperturb", "identify", *map(str, files)]
+    assert set(typed[5:]) == set(options)

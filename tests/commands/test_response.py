@@ -60,6 +60,7 @@ def test_multisines_give_tables_figures_and_the_distortion(folder, tmp_path, cap
 
 
 @pytest.mark.slow(reason="estimates from long records")
+@pytest.mark.usefixtures("blank_pictures")
 def test_records_of_unequal_length_in_other_formats(folder, tmp_path):
     from armperturb.recording_files import load_recording
 
@@ -76,13 +77,15 @@ def test_records_of_unequal_length_in_other_formats(folder, tmp_path):
 
 
 @pytest.mark.slow(reason="fits a state space")
+@pytest.mark.usefixtures("blank_pictures")
 def test_without_covariance_there_are_no_bands(folder, tmp_path, capsys):
     assert run("response", folder / "noise.nc", "--method", "subspace", "--out", tmp_path) == 0
     assert "no uncertainty" in capsys.readouterr().out
     assert {row["standard_error"] for row in rows(tmp_path / "response.csv")} == {""}
 
 
-@pytest.mark.slow(reason="draws figures")
+@pytest.mark.slow(reason="estimates a response")
+@pytest.mark.usefixtures("blank_pictures")
 def test_an_earlier_distortion_goes_if_asked(folder, tmp_path, capsys):
     names = ("distortion.csv", "distortion.svg")
     for name in names:

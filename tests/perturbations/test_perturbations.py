@@ -1,6 +1,8 @@
 """Perturbations: what the thesis prescribes (section 2.4), exactness at any rate, and files."""
 
 import dataclasses
+import hashlib
+import os
 import re
 import subprocess
 import sys
@@ -27,13 +29,13 @@ PULSE = Pulse(peak=100.0, direction_deg=20.0, onset=5.0, duration=10.0)
 
 
 @pytest.fixture(scope="module")
-def multisines() -> list[Multisine]:
-    return [Multisine.draw(seed=seed, rms=8.0) for seed in range(8)]
+def multisine() -> Multisine:
+    return Multisine.draw(seed=1, rms=8.0)
 
 
 @pytest.fixture(scope="module")
-def multisine() -> Multisine:
-    return Multisine.draw(seed=1, rms=8.0)
+def multisines(multisine: Multisine) -> list[Multisine]:
+    return [multisine, *(Multisine.draw(seed=seed, rms=8.0) for seed in (0, 2, 3, 4, 5, 6, 7))]
 
 
 @pytest.fixture(scope="module")
@@ -98,25 +100,22 @@ def test_seed_decides(multisine):
     assert not np.allclose(Multisine.draw(seed=2, rms=1.0, crested=False).phases, again)
 
 
-@pytest.mark.slow(reason="needs processes of its own")
-def test_threads_do_not_change_the_phases():
+@pytest.mark.slow(reason="needs a process of its own")
+def test_threads_do_not_change_the_phases(multisine):
     code = (
         "import hashlib; from armperturb.perturbations import Multisine; "
-        "print(hashlib.sha256(Multisine.draw(seed=5, rms=1.0).phases.tobytes()).hexdigest())"
+        "print(hashlib.sha256(Multisine.draw(seed=1, rms=1.0).phases.tobytes()).hexdigest())"
     )
-    processes = [
-        subprocess.Popen(
-            [sys.executable, "-c", code],
-            env={"OMP_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads},
-            cwd=Path(__file__).parents[2],
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        for threads in ("1", "4")
-    ]
-    digests = {process.communicate()[0] for process in processes}
-    assert not any(process.returncode for process in processes)
-    assert len(digests) == 1
+    threads = "4" if os.environ["OMP_NUM_THREADS"] == "1" else "1"  # other than here
+    answer = subprocess.run(
+        [sys.executable, "-c", code],
+        env={"OMP_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads},
+        cwd=Path(__file__).parents[2],
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    ).stdout
+    assert answer.strip() == hashlib.sha256(multisine.phases.tobytes()).hexdigest()
 
 
 def crest_factors(multisines: list[Multisine], samples_per_period: int) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Saved figures are laid out as Matplotlib's own constrained layout would, and nothing runs into anything else."""
 
 import itertools
+from functools import cache
 
 import numpy as np
 import pytest
@@ -93,25 +94,28 @@ def constrained(draw):
     return figure
 
 
+@cache
+@in_style()
+def saved(draw):
+    """A figure after it was saved, at the resolution of an SVG."""
+    figure = draw()
+    svg(figure)
+    figure.dpi = 72.0
+    FigureCanvasSVG(figure)
+    return figure
+
+
 @pytest.mark.slow(reason="draws figures")
 @pytest.mark.parametrize("draw", FIGURES, ids=lambda draw: draw.__name__)
 def test_places_are_those_of_constrained_layout(draw):
-    expected = constrained(draw)
-    with in_style():
-        figure = draw()
-    svg(figure)
-    figure.dpi = 72.0
-    np.testing.assert_allclose(places(figure), places(expected), atol=1.0)  # a point
+    np.testing.assert_allclose(places(saved(draw)), places(constrained(draw)), atol=1.0)  # a point
 
 
 @pytest.mark.slow(reason="draws figures")
 @pytest.mark.parametrize("draw", FIGURES, ids=lambda draw: draw.__name__)
 def test_nothing_overlaps_or_is_cut_off(draw):
+    figure = saved(draw)
     with in_style():
-        figure = draw()
-        svg(figure)
-        figure.dpi = 72.0
-        FigureCanvasSVG(figure)
         boxes = [box for ax in figure.axes if (box := ax.get_tightbbox()) is not None]
         boxes += [each.get_window_extent() for each in figure.legends]
     for box in boxes:

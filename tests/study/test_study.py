@@ -124,11 +124,11 @@ def test_a_thesis_fit_that_fails_costs_nothing_else(relax_recording, tmp_path, m
 
     monkeypatch.setattr(cases, "identify_conditions", failing)
     long = Protocol(conditions=(RT,), trial_duration=29.0, multisine_duration=28.6)
-    [case] = identify_person(trials_by_condition(relax_recording), tmp_path / "r.nc", long)
+    [case] = identify_person(trials_by_condition(relax_recording.isel(trial=slice(2))), tmp_path / "r.nc", long)
     assert case.thesis is None
     assert case.left_out == ("relax in RT7.5 was not identified by the thesis's estimator: no fit",)
     assert case.identified.fit.converged
-    assert len(case.single_trials) == 4
+    assert len(case.single_trials) == 2
 
 
 def test_noise_lowers_coherence_and_vaf_and_leaves_the_admittance_unbiased(study, ideal):

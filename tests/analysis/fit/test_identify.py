@@ -1,5 +1,7 @@
 """From simulated recordings back to the people in them."""
 
+import functools
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -20,12 +22,18 @@ PARTS = {"RT7.5": [0, 1, 2], "RT22.5": [3, 4, 5]}
 """Trials of each condition of the noisy recording."""
 
 
+@pytest.fixture(scope="module")
+def of_ideal(relax_recording, position_recording):
+    """A function: what a model and an estimator make of the ideal trials of its task."""
+    recordings = {"1": relax_recording, "3b": position_recording}
+    return functools.cache(lambda model, estimator: identify(recordings[model], model, estimator=estimator))
+
+
 @pytest.mark.slow(reason="fits many structures")
 @pytest.mark.parametrize("estimator", ["record", "frequency"])
 @pytest.mark.parametrize(("model", "arm"), [("1", RELAX), ("3b", POSITION)], ids=["1", "3b"])
-def test_parameters_that_were_put_in_come_out(model, arm, estimator, request):
-    recording = request.getfixturevalue("relax_recording" if model == "1" else "position_recording")
-    result = identify(recording, model, estimator=estimator)
+def test_parameters_that_were_put_in_come_out(model, arm, estimator, of_ideal):
+    result = of_ideal(model, estimator)
     for name, estimate in result.fit.values.items():
         assert estimate == pytest.approx(true_value(arm, name), rel=0.01), name
     assert result.fit.stable
@@ -50,9 +58,9 @@ def test_the_thesis_estimator_is_the_mean_over_trials(relax_recording):
 
 
 @pytest.mark.slow(reason="identifies noisy trials")
-def test_noise_widens_intervals_that_hold_the_truth(noisy_relax_recording, relax_recording):
+def test_noise_widens_intervals_that_hold_the_truth(noisy_relax_recording, of_ideal):
     noisy = identify(noisy_relax_recording.assign_coords(condition=("trial", ["RT7.5"] * 6)), "1").fit
-    clean = identify(relax_recording, "1").fit
+    clean = of_ideal("1", "record").fit
     scores = []
     for name, error in noisy.standard_error.items():
         assert error > 5 * clean.standard_error[name], name

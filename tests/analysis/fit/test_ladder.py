@@ -10,8 +10,8 @@ import pytest
 from armperturb.analysis.fit import group as group_module
 from armperturb.analysis.fit.group import Group
 from armperturb.analysis.fit.identify import identify
-from armperturb.analysis.fit.ladder import left_out_loss
-from armperturb.analysis.fit.maximum_likelihood import sketch
+from armperturb.analysis.fit.ladder import choose_structure, left_out_loss
+from armperturb.analysis.fit.maximum_likelihood import estimate, sketch
 from armperturb.analysis.fit.own_structures import composed
 from armperturb.analysis.fit.trial_effects import TrialScore
 from armperturb.convert.importer import import_recording
@@ -24,7 +24,7 @@ JUDGED = ("k_s", "k_se", "k_e", "b_s", "b_se", "b_e")
 
 
 def recorded(seed, **options):
-    setup = draw_foreign(seed, n_trials=4, duration=20.0, rate=200.0, period=10.0, **options)
+    setup = draw_foreign(seed, n_trials=4, duration=12.0, rate=100.0, period=5.0, **options)
     return setup.truth, setup.recording()
 
 
@@ -57,29 +57,29 @@ def example():
 @pytest.mark.slow(reason="fits several structures")
 def test_a_search_that_ends_at_a_delay_far_too_long_is_begun_again(example):
     """From the spectra of this recording, searches lead to delays of 0.1 s."""
-    fit = identify(example).fit
-    assert fit.choice.chosen.reflex == "position"
-    assert not fit.detail.is_suspicious
-    assert 0.02 < fit.values["Td_s"] < 0.045
-    objective = {rung[:3]: rung.sketch.objective for rung in fit.choice.rungs}
+    choice = choose_structure(Group.prepare(example, composed()))
+    assert choice.chosen.reflex == "position"
+    assert not choice.estimate.is_suspicious
+    assert 0.02 < choice.estimate.values["Td_s"] < 0.045
+    objective = {rung[:3]: rung.sketch.objective for rung in choice.rungs}
     assert objective["free", "spring", "position"] < objective["free", "spring", "velocity"]
 
 
 @pytest.mark.filterwarnings("ignore:as many averages as inputs")
 @pytest.mark.slow(reason="searches from several starts")
 def test_a_structure_is_found_where_its_usual_starts_lead_astray(example):
-    fit = identify(example, composed(inertia="free", grip="spring", reflex="position")).fit
-    assert not fit.detail.is_suspicious
+    fit = estimate([Group.prepare(example, composed(inertia="free", grip="spring", reflex="position"))])
+    assert not fit.is_suspicious
     assert 0.02 < fit.values["Td_s"] < 0.045
 
 
 @pytest.mark.slow(reason="fits many structures to long trials")
 def test_neighbours_are_searched_again_from_a_structure_that_was_found_late():
     """The first searches of this arm, of the richest structure and from it, all end in the wrong place."""
-    setup = draw_foreign(731)
-    fit = identify(setup.recording()).fit
-    assert fit.choice.chosen[:3] == ("free", setup.truth["grip"], setup.truth["reflex"])
-    assert not fit.detail.is_suspicious
+    setup = draw_foreign(731, rate=100.0, linear=True)
+    choice = choose_structure(Group.prepare(setup.recording(), composed()))
+    assert choice.chosen[:3] == ("free", setup.truth["grip"], setup.truth["reflex"])
+    assert not choice.estimate.is_suspicious
 
 
 def test_loss_on_left_out_trials_is_that_of_leaving_them_out():

@@ -1,3 +1,4 @@
+import functools
 import re
 from dataclasses import replace
 
@@ -72,6 +73,12 @@ def relax_group(relax):
     return group_of(relax, "1")
 
 
+@pytest.fixture(scope="module")
+def of_position(position_group):
+    """A function: the estimate by a method."""
+    return functools.cache(lambda method: estimate([position_group], method))
+
+
 @pytest.mark.slow(reason="fits six groups of trials, by both methods")
 @pytest.mark.parametrize(("subject", "model"), [(POSITION, "3b"), (RELAX, "1")], ids=["PT", "RT"])
 def test_intervals_hold_the_truth_as_often_as_they_say(subject, model):
@@ -101,8 +108,8 @@ def test_intervals_hold_the_truth_as_often_as_they_say(subject, model):
 
 @pytest.mark.slow(reason="fits three structures")
 @METHODS
-def test_a_right_structure_raises_no_doubt_and_a_wrong_one_does(position, position_group, method):
-    right = estimate([position_group], method)
+def test_a_right_structure_raises_no_doubt_and_a_wrong_one_does(position, of_position, method):
+    right = of_position(method)
     assert not right.is_suspicious
     assert not any("explains more" in remark for remark in right.remarks)
     late = STRUCTURES["3b"].fixing(Td_s=0.060, Td_e=0.060, m_tot=2.5)
@@ -138,14 +145,14 @@ def test_a_shared_mass_is_one_value_and_better_known_than_from_either_condition_
     stiffer = replace(POSITION, k_s=140.0, k_e=180.0)
     large = record(stiffer, 4, seed=2, condition="PT22.5", force=2.0)
     groups = [group_of(small, "3b"), group_of(large, "3b")]
-    together, apart = estimate(groups, share=["mass"]), estimate(groups)
+    together, apart = (estimate(groups, "frequency", share=share) for share in (["mass"], []))
     assert len(together.values) == 25
     assert len(apart.values) == 26
     assert together.arms["PT7.5"].m_f == together.arms["PT22.5"].m_f
     assert together.standard_error["m_tot"] < min(apart.standard_error[f"m_tot [{one.label}]"] for one in groups)
     assert abs(together.values["m_tot"] - 3.38) < 4 * together.standard_error["m_tot"]
     assert together.arms["PT22.5"].k_s == together.values["k_s [PT22.5]"]
-    alone = [estimate([group]) for group in groups]
+    alone = [estimate([group], "frequency") for group in groups]
     for group, one in zip(groups, alone, strict=True):
         for name, value in one.values.items():
             assert apart.values[f"{name} [{group.label}]"] == pytest.approx(value, abs=0.1 * one.standard_error[name])
@@ -155,9 +162,9 @@ def test_a_shared_mass_is_one_value_and_better_known_than_from_either_condition_
 
 
 @pytest.mark.slow(reason="fits again for each point of a profile")
-def test_profile_is_zero_at_the_estimate_and_384_at_the_limits_of_the_interval(position_group):
+def test_profile_is_zero_at_the_estimate_and_384_at_the_limits_of_the_interval(position_group, of_position):
     for method in ("frequency", "record"):
-        found = estimate([position_group], method)
+        found = of_position(method)
         for name in ("m_tot", "k_e"):
             value, half = found.values[name], 1.96 * found.standard_error[name] / np.sqrt(found.dispersion)
             points = [value - half, value, value + half, value + 2 * half]
@@ -215,9 +222,9 @@ def test_intervals_contain_what_is_unknown_of_the_manipulator():
 
 
 @pytest.mark.slow(reason="fits records twice")
-def test_records_that_start_amid_movement_tell_the_same_arm(position):
+def test_records_that_start_amid_movement_tell_the_same_arm(position, of_position):
     late = position.isel(time=slice(300, None)).assign_coords(time=position["time"].values[:-300])
-    fitted, whole = estimate([group_of(late, "3b")]), estimate([group_of(position, "3b")])
+    fitted, whole = estimate([group_of(late, "3b")]), of_position("record")
     assert not fitted.is_suspicious
     for name, value in fitted.values.items():
         assert abs(value - true_value(POSITION, name)) < 4 * fitted.standard_error[name]
@@ -267,11 +274,11 @@ def test_an_arm_that_cannot_be_stable_is_fitted_and_said_to_be_unstable(relax):
 
 
 @pytest.mark.slow(reason="fits records")
-def test_an_unstable_start_is_made_stable(position_group):
+def test_an_unstable_start_is_made_stable(position_group, of_position):
     start = {"kv_s": 100.0, "kv_se": 0.0, "kv_e": 100.0, "b_s": 0.1, "b_e": 0.1}
     arm = replace(POSITION, **start)
     assert largest_real_pole(arm, Environment()) > 0
-    found, usual = (estimate([position_group], "frequency", initial=given) for given in (start, None))
+    found, usual = estimate([position_group], "frequency", initial=start), of_position("frequency")
     assert found.converged
     for name, value in usual.values.items():
         assert found.values[name] == pytest.approx(value, abs=0.1 * usual.standard_error[name])
@@ -315,7 +322,7 @@ def test_structures_that_no_trial_identifies_are_refused_with_the_direction(rela
         estimate([group_of(relax, twice)])
 
 
-def test_bad_input_is_refused_in_one_sentence(position, position_group, relax_group):
+def test_bad_input_is_refused_in_one_sentence(position, position_group, relax_group, of_position):
     for arguments, options, message in (
         (([],), {}, r"groups is empty; expected the trials of at least one condition"),
         (([position_group], "best"), {}, r"method = 'best'; expected one of frequency, record"),
@@ -333,7 +340,7 @@ def test_bad_input_is_refused_in_one_sentence(position, position_group, relax_gr
     )
     with pytest.raises(ValueError, match=r"bounds of the shared m_tot cross \(9 to 8\)"):
         estimate([position_group, heavy], share=["mass"])
-    found = estimate([position_group], "frequency")
+    found = of_position("frequency")
     with pytest.raises(ValueError, match=r"no parameter 'k'; expected one of m_tot"):
         profile([position_group], found, "k", [1.0])
     with pytest.raises(ValueError, match=r"k_s = -1.0; expected 0 to 1000 Nm/rad"):

@@ -10,19 +10,26 @@ from armperturb.analysis.fit.whittle import Whittle
 N, N_TRIALS, USED = 256, 5, slice(1, 50)
 
 
+def spectrum(values, taper):
+    return fft.rfft(values * taper, axis=-1)[..., USED]
+
+
+def spectra_of_drift(taper):
+    """Of an offset and eleven powers of time, on either axis, (drift, output, frequency)."""
+    powers = np.linspace(-1.0, 1.0, N) ** np.arange(12)[:, None]
+    drift = spectrum(powers, taper)[:, None, None] * np.eye(2)[..., None]
+    return drift.reshape(-1, 2, drift.shape[-1])
+
+
 class Gain(Whittle):
     """Outputs that are one gain times the inputs, in noise that is white in both, with an offset and a drift."""
 
-    def __init__(self, force, observed, taper, with_drift):
-        self._taper = taper
-        self._with_drift = with_drift
-        force, observed = self._spectrum(force), self._spectrum(observed)
+    def __init__(self, force, observed, taper, drift):
+        self._drift = drift
+        force, observed = spectrum(force, taper), spectrum(observed, taper)
         frequency = np.arange(N // 2 + 1.0)[USED]
         ones = np.ones(len(frequency), complex)
         super().__init__(frequency, force, observed, slice(None), scale=ones, least=1e-30, taper=taper)
-
-    def _spectrum(self, values):
-        return fft.rfft(values * self._taper, axis=-1)[..., USED]
 
     def _predicted(self, values, trials=slice(None)):
         return values[0] * self._force[trials]
@@ -34,17 +41,13 @@ class Gain(Whittle):
         return np.eye(2)[..., None] * np.ones(len(self._frequency), complex)
 
     def _unknowns(self, values):
-        if not self._with_drift:
-            return None
-        powers = np.linspace(-1.0, 1.0, N) ** np.arange(12)[:, None]
-        drift = self._spectrum(powers)[:, None, None] * np.eye(2)[..., None]
-        return drift.reshape(-1, 2, drift.shape[-1])
+        return self._drift
 
 
 def estimated(likelihood):
     """The gain, and its variance as the information says, with the noise as known and as estimated."""
     values, mixing = np.zeros(1), np.eye(1)
-    for _ in range(4):
+    for _ in range(3):
         likelihood.weigh(values)
         normal = likelihood.normal(values, mixing)
         values = values + normal.slope / normal.information[0]
@@ -61,10 +64,11 @@ def test_errors_are_as_large_as_the_information_says(tapered, with_drift):
         taper[-N // 2 :] = np.cos(0.5 * np.pi * np.linspace(0.0, 1.0, N // 2)) ** 2
     # Inputs are strong where offset and drift are, and where few frequencies are averaged.
     shape = 1.0 / (1.0 + (np.arange(N // 2 + 1) / 8.0) ** 2)
+    drift = spectra_of_drift(taper) if with_drift else None
     found = []
     for _ in range(400):
         force = fft.irfft(fft.rfft(rng.standard_normal((N_TRIALS, 2, N))) * shape, N)
-        found.append(estimated(Gain(force, rng.standard_normal((N_TRIALS, 2, N)), taper, with_drift)))
+        found.append(estimated(Gain(force, rng.standard_normal((N_TRIALS, 2, N)), taper, drift)))
     gains, as_known, as_estimated = np.array(found).T
     # The standard deviation of 400 gains is known to 3.5 %.
     assert np.mean(as_known) < 0.95 * np.mean(as_estimated)

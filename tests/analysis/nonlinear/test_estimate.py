@@ -153,7 +153,7 @@ class Stopped(Exception):
 
 @pytest.mark.slow(reason="fits twice")
 def test_a_search_that_was_stopped_goes_on_to_the_same_result(noisy, tmp_path):
-    few = [trials.take(range(2)) for trials in noisy]
+    few = [trials.before(700).take(range(2)) for trials in noisy]
     options = {"n_pairs": 1, "n_pairs_of_errors": 2}
     whole = []
     expected = fit(few, ARMS, FEW, **options, progress=whole.append)

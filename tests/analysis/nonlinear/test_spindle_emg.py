@@ -75,15 +75,15 @@ def test_slopes_are_those_of_the_cost(person):
 @pytest.mark.slow(reason="repeats estimates on many records")
 def test_errors_are_as_large_as_the_information_says():
     """Of position feedback, saturation and delay; the common size of feedback and gains is not known, and held."""
-    angle, velocity = rotations(3, 1)
+    angle, velocity = rotations(2, 1, seconds=20.0)
     free = [3, 4, 5, 6, 7, 8]
-    changes = np.zeros((len(free), 3, N_REFLEX))
+    changes = np.zeros((len(free), 2, N_REFLEX))
     changes[range(len(free)), :, free] = 1.0
     errors = []
     for seed in range(60):
         emg = SpindleEmg(outputs_of(PERSON, angle, velocity, np.random.default_rng(seed)), POSITION, 0.0)
-        reflexes = at(PERSON, 3)
-        for _ in range(4):
+        reflexes = at(PERSON, 2)
+        for _ in range(3):
             emg.weigh_at(reflexes)
             information, slope = emg.normal_at(reflexes, changes)
             reflexes[:, free] += np.linalg.solve(information, slope)
@@ -104,13 +104,13 @@ def test_an_electromechanical_delay_is_not_a_neural_one():
     assert costs[0.040] < costs[0.030]
 
 
-@pytest.mark.slow(reason="simulates and fits three trials")
+@pytest.mark.slow(reason="simulates and fits two trials")
 def test_emg_makes_reflexes_better_known():
     true = true_values(PERSON, {})
     sought = ("kp.shoulder", "kp.two-joint", "kp.elbow", "Td", "spindle_saturation")
     names = Model(free=("Td",)).names("PT", ("PT7.5",))
     fixed = {name: true[name] for name in names if name not in sought}
-    pushes = [made.push(seed, 5.0, 20.0, rate=RATE) for seed in range(3)]
+    pushes = [made.push(seed, 5.0, 14.0, rate=RATE) for seed in range(2)]
     recording = made.record(PERSON, pushes, noisy=True, condition="PT7.5", rate=RATE)
     trials = made.trial_set(recording)
     angle = recording["joint_angle"].values - recording["joint_angle"].values[:, :1]

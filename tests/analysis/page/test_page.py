@@ -36,26 +36,26 @@ LEAST_CONTRAST = 4.5  # of small text, WCAG 2 level AA
 
 
 def session():
-    """Two conditions of one person: four multisines, and four of twice the size with a pulse at the end."""
-    still = Setup(arm=Arm(), seed=3, n_trials=4, duration=20.0, linear=True)
+    """Two conditions of one person: three multisines, and the same with a pulse at the end."""
+    still = Setup(arm=Arm(), seed=3, n_trials=3, duration=20.0, linear=True)
     first = recording_of(still, *still.record())
     second = first.assign_coords(
-        condition=("trial", ["pulsed"] * 4),
-        pulse_onset=("trial", [17.0] * 4),
-        pulse_direction=("trial", [20.0, 200.0] * 2),
-        pulse_level=("trial", [1.0] * 4),
+        condition=("trial", ["pulsed"] * 3),
+        pulse_onset=("trial", [17.0] * 3),
+        pulse_direction=("trial", [20.0, 200.0, 20.0]),
+        pulse_level=("trial", [1.0] * 3),
     )
     both = stack_trials([first, second])
-    return both.assign_coords(subject=("trial", [NAME] * 8))
+    return both.assign_coords(subject=("trial", [NAME] * 6))
 
 
 def silent_muscles():
     """EMG of the same trials, of muscles that answer to nothing, beside a trial of maximal contraction."""
-    volts = np.append(np.full(8, 0.1), 1.0)[:, None, None] * noise((9, 2, 40_000))
+    volts = np.append(np.full(6, 0.1), 1.0)[:, None, None] * noise((7, 2, 40_000))
     volts[-1, :, :2000] *= 0.01
-    conditions = ["multisine"] * 4 + ["pulsed"] * 4 + ["MVC"]
-    pulses = [math.nan] * 4 + [17.0] * 4 + [math.nan], [math.nan] * 4 + [20.0, 200.0] * 2 + [math.nan]
-    return recorded(volts, conditions, subject=[NAME] * 9, pulse_onset=pulses[0], pulse_direction=pulses[1])
+    conditions = ["multisine"] * 3 + ["pulsed"] * 3 + ["MVC"]
+    pulses = [math.nan] * 3 + [17.0] * 3 + [math.nan], [math.nan] * 3 + [20.0, 200.0, 20.0] + [math.nan]
+    return recorded(volts, conditions, subject=[NAME] * 7, pulse_onset=pulses[0], pulse_direction=pulses[1])
 
 
 @pytest.fixture(scope="module")
@@ -155,10 +155,10 @@ def test_numbers_are_those_of_the_results(identified, content):
             assert plain(value) in text
         assert verdict(result, diagnose(result, trials[label]).bands).text.rpartition(":")[0] in text
         check = check_data(trials[label], 8.0)
-        assert (check.n_trials, check.period, check.from_rest) == (4, 10.0, False)
+        assert (check.n_trials, check.period, check.from_rest) == (3, 10.0, False)
         assert "amid the movement" in text
         assert f"{check.environment.m_env:.3f} kg" in text
-        assert check.n_pulses == (4 if label == "pulsed" else 0)
+        assert check.n_pulses == (3 if label == "pulsed" else 0)
         assert (check.clipped, check.held) == ({}, 0.0)
 
 

@@ -11,6 +11,7 @@ from armperturb.plots.style import new_figure
 from armperturb.recording import make_recording
 
 FREQUENCY = np.fft.rfftfreq(N_PERIOD, 1.0 / RATE)
+LOAD = np.concatenate([np.zeros((1, 2, 2), complex), TRUE["arm"](FREQUENCY[1:])])
 NOISE, DISTORTION = 1e-3, 3e-5
 """SD of a sample of the displacement's noise, RMS of a line of its distortion [m]."""
 
@@ -22,11 +23,9 @@ def known(seed, n_trials, n_periods, *, noise=NOISE, distortion=0.0, spread=0.0)
     of a factor on the load's admittance.
     """
     rng = np.random.default_rng(seed)
-    load = np.zeros((len(FREQUENCY), 2, 2), complex)
-    load[1:] = TRUE["arm"](FREQUENCY[1:])
     d = np.zeros((n_trials, len(FREQUENCY), 2), complex)
     d[:, CLUSTERS] = 100.0 * np.exp(2j * np.pi * rng.random((n_trials, len(CLUSTERS), 2)))
-    x = np.einsum("fij,tfj->tfi", load, d) * (1 + spread * rng.normal(size=(n_trials, 1, 1)))
+    x = np.einsum("fij,tfj->tfi", LOAD, d) * (1 + spread * rng.normal(size=(n_trials, 1, 1)))
     own = rng.normal(size=x.shape) + 1j * rng.normal(size=x.shape)
     x += distortion * N_PERIOD / 2 * own  # a line of amplitude |2 X / N| has the mean square 2 |X / N|^2
     index = np.arange(round(n_periods * N_PERIOD))

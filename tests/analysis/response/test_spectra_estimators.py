@@ -86,14 +86,12 @@ def load():
     return load_recording(multisines)
 
 
-def noisy_trials(seeds):
+def noisy_trials(seeds, duration=32.0):
     # Of the slow remnant alone, which models of finite order describe; docs/response.md has figures for the whole one.
     unchanged = dict.fromkeys(("spread_b", "spread_k", "spread_kv", "spread_kp"), 0.0)
     slow = replace(HUMAN_NOISE["PT"], remnant_share=0.4, fast_share=0.0, **unchanged)
-    trials = [
-        Trial(subject=POSITION, perturbation=Multisine.draw(seed=seed, rms=5.4, crested=False), seed=seed, noise=slow)
-        for seed in seeds
-    ]
+    drawn = {seed: Multisine.draw(seed=seed, rms=5.4, duration=duration, crested=False) for seed in seeds}
+    trials = [Trial(subject=POSITION, perturbation=drawn[seed], seed=seed, noise=slow) for seed in seeds]
     return run_experiment(trials, linear=True, instruments=Instruments(marker_noise=None, emg=None), n_threads=1)
 
 
@@ -134,14 +132,18 @@ def test_a_load_is_recovered_from_noise_at_another_rate(method):
     assert relative_error(found.response, load_admittance(BELOW_20)).max() < 0.02
 
 
+@pytest.fixture(scope="module")
+def quiet_arm():
+    drawn = [Multisine.draw(seed=seed, rms=5.4, crested=False) for seed in range(2)]
+    return run_experiment([Trial(subject=POSITION, perturbation=each) for each in drawn], linear=True, n_threads=1)
+
+
 @pytest.mark.slow(reason="simulates a laboratory and fits models")
 @pytest.mark.parametrize("method", ["arx", "subspace"])
-def test_an_arm_with_delayed_reflexes_is_recovered(method):
-    trials = [Trial(subject=POSITION, perturbation=Multisine.draw(seed=seed, rms=5.4)) for seed in range(2)]
-    recording = run_experiment(trials, linear=True, n_threads=1)
-    frequency = line_spectra(recording).frequency
+def test_an_arm_with_delayed_reflexes_is_recovered(quiet_arm, method):
+    frequency = line_spectra(quiet_arm).frequency
     frequency = frequency[frequency < 20.0]
-    found = response(recording, method, frequency)
+    found = response(quiet_arm, method, frequency)
     assert relative_error(found.response, arm_admittance(POSITION, frequency)).max() < 0.01
 
 
@@ -164,7 +166,7 @@ def test_of_a_noisy_arm_models_err_less_than_spectra(noisy_arm, method):
 def test_covariance_of_arx_is_that_of_its_errors():
     ratios = []
     for first in range(0, 24, 3):  # errors of one recording go together
-        found = response(noisy_trials(range(first, first + 3)), "arx", BELOW_20)
+        found = response(noisy_trials(range(first, first + 3), 16.0), "arx", BELOW_20)
         ratios.append(np.mean(np.abs(found.response - arm_admittance(POSITION, BELOW_20)) ** 2 / found.covariance))
     assert 0.5 < np.mean(ratios) < 1.5
 

@@ -411,7 +411,8 @@ def test_people_are_as_noisy_as_the_thesis_describes():
         for name, rms in forces.items()
         for seed in range(n)
     ]
-    recording = run_experiment(trials, ENVIRONMENT, timestep=2.5e-3, instruments=Instruments(emg=None))
+    instruments = Instruments(emg=None)
+    recording = run_experiment(trials, ENVIRONMENT, timestep=2.5e-3, engine="compiled", instruments=instruments)
     coherence = {}
     for number, name in enumerate(forces):
         spectra = [estimate_spectra(line_spectra(recording.isel(trial=[number * n + i]))) for i in range(n)]

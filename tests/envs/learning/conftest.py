@@ -1,5 +1,8 @@
-"""Tests of the dm_control face run where dm_control is installed; a thread that stays within a call."""
+"""Tests of the dm_control face run where it is installed; another process; a thread that stays within a call."""
 
+import pickle
+import subprocess
+import sys
 import threading
 from contextlib import contextmanager
 from importlib.util import find_spec
@@ -9,6 +12,37 @@ import pytest
 collect_ignore = (
     [] if find_spec("dm_control") else ["test_dm.py", "test_dm_state.py", "test_dm_task.py", "test_entities.py"]
 )
+
+
+ELSEWHERE = """
+import pickle, sys
+from importlib.util import find_spec
+from tests.envs.learning import test_gym_env, test_state
+
+with open(sys.argv[1], "rb") as file:
+    env = pickle.load(file)
+found = {"path": test_gym_env.digest(), "onwards": test_state.onwards(env)}
+if find_spec("dm_control"):
+    from tests.envs.learning import test_dm_task
+    found["ends"] = test_dm_task.ends()
+with open(sys.argv[2], "wb") as file:
+    pickle.dump(found, file)
+"""
+
+
+@pytest.fixture(scope="session")
+def elsewhere(once):
+    """What another process finds, one for several tests as its start takes longest: a path, ends, and what follows."""
+
+    def run(folder):
+        from tests.envs.learning import test_state
+
+        (folder / "env").write_bytes(pickle.dumps(test_state.in_the_middle(test_state.several, "mujoco")))
+        command = [sys.executable, "-W", "ignore", "-c", ELSEWHERE, folder / "env", folder / "found"]
+        subprocess.run(command, check=True)
+        return pickle.loads((folder / "found").read_bytes())
+
+    return once("elsewhere", run)
 
 
 @pytest.fixture

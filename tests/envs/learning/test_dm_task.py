@@ -2,9 +2,8 @@
 
 import copy
 import pickle
-import subprocess
-import sys
 from dataclasses import replace
+from functools import cache
 
 import gymnasium as gym
 import numpy as np
@@ -109,24 +108,35 @@ def test_own_action_is_the_trial_of_the_study_to_the_last_bit(case):
     np.testing.assert_array_equal(states(env, 30), expected)
 
 
+@pytest.fixture(scope="module")
+def played():
+    """A function of a task's name: its environment, and all that came of an episode of random actions."""
+
+    @cache
+    def play(name):
+        env = armperturb.load_dm_env(name, random_state=3, **SHORT)
+        kept = [env.reset()]
+        for action in actions_of(env):
+            if kept[-1].last():
+                return env, kept
+            kept.append(env.step(action))
+
+    return play
+
+
 @EACH_TASK
-def test_it_is_the_gymnasium_environment_to_the_last_bit(name):
-    env = armperturb.load_dm_env(name, random_state=3, **SHORT)
-    timestep = env.reset()
+def test_it_is_the_gymnasium_environment_to_the_last_bit(name, played):
+    env, (timestep, *following) = played(name)
     other = gym.make(name, disable_env_checker=True, **SHORT).unwrapped
     observation, _ = other.reset(options={"trial": env.task.trial})
-    n = 0
-    for action in actions_of(env):
-        np.testing.assert_array_equal(sensed(timestep).astype(np.float32), observation)
-        if timestep.last():
-            break
-        timestep = env.step(action)
+    np.testing.assert_array_equal(sensed(timestep).astype(np.float32), observation)
+    for timestep, action in zip(following, actions_of(env), strict=False):
         observation, reward, terminated, truncated, _ = other.step(action)
+        np.testing.assert_array_equal(sensed(timestep).astype(np.float32), observation)
         assert timestep.reward == reward
         assert timestep.discount == (0.0 if terminated else 1.0)
         assert timestep.last() == (terminated or truncated)
-        n += 1
-    assert n == 20
+    assert len(following) == 20
     spec, space = env.action_spec(), other.action_space
     np.testing.assert_array_equal([spec.minimum, spec.maximum], [space.low, space.high])
     np.testing.assert_array_equal(env.task.own_action, other.own_action)
@@ -154,28 +164,22 @@ def test_other_settings_are_those_of_the_gymnasium_environment(settings):
     assert len(seen) == round(0.4 * env.task.settings.control_rate)
 
 
-PROGRAM = f"""
-import numpy as np, armperturb
-env = armperturb.load_dm_env("{PULSE_TASK}", random_state=7, **{SHORT})
-for _ in range(2):
-    timestep = env.reset()
-    while not timestep.last():
-        timestep = env.step(env.task.own_action)
-print(env.physics.data.qpos.tobytes().hex())
-"""
-
-
-def test_a_seed_gives_the_same_episodes_in_another_process_and_each_is_another():
+def ends():
+    """Where two episodes of one seed leave the arm."""
     env = armperturb.load_dm_env(PULSE_TASK, random_state=7, **SHORT)
-    ends = []
+    found = []
     for _ in range(2):
         timestep = env.reset()
         while not timestep.last():
             timestep = env.step(env.task.own_action)
-        ends.append(env.physics.data.qpos.tobytes().hex())
-    assert ends[0] != ends[1]
-    done = subprocess.run([sys.executable, "-c", PROGRAM], check=True, capture_output=True, text=True)
-    assert done.stdout.split()[-1] == ends[1]
+        found.append(env.physics.data.qpos.tobytes())
+    return found
+
+
+def test_a_seed_gives_the_same_episodes_in_another_process_and_each_is_another(elsewhere):
+    first, second = ends()
+    assert first != second
+    assert elsewhere["ends"] == [first, second]
 
 
 def test_seeds_and_states_of_chance_are_taken():
@@ -421,14 +425,8 @@ def test_what_no_person_knows_can_be_observed():
 
 
 @EACH_TASK
-def test_observations_are_finite_not_constant_and_share_no_memory(name):
-    env = armperturb.load_dm_env(name, random_state=2, **SHORT)
-    first = env.reset()
-    kept = [first]
-    for action in actions_of(env):
-        if kept[-1].last():
-            break
-        kept.append(env.step(action))
+def test_observations_are_finite_not_constant_and_share_no_memory(name, played):
+    _, kept = played(name)
     rows = np.array([sensed(timestep) for timestep in kept])
     assert np.isfinite(rows).all()
     assert (np.ptp(rows, axis=0) > 0.0).all()

@@ -3,8 +3,6 @@
 import hashlib
 import os
 import re
-import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -67,7 +65,8 @@ def same(one, other):
 @pytest.mark.slow(reason="draws pictures")
 @EACH
 def test_gymnasiums_checker_has_nothing_to_say(name):
-    check_env(made(name, width=64, height=48))
+    # Versions differ in what they reward and show, not in pictures.
+    check_env(made(name, width=64, height=48), skip_render_check=name.endswith("v0"))
 
 
 @pytest.mark.slow(reason="three trials of a second")
@@ -126,10 +125,8 @@ def digest():
 
 
 @pytest.mark.slow(reason="needs another process")
-def test_the_path_is_the_same_in_another_process():
-    code = "import sys; sys.path.insert(0, 'tests/envs/learning'); import test_gym_env; print(test_gym_env.digest())"
-    shown = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    assert shown.stdout.split()[-1] == digest()
+def test_the_path_is_the_same_in_another_process(elsewhere):
+    assert elsewhere["path"] == digest()
 
 
 def study_trials(task):

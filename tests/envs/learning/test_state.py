@@ -3,8 +3,6 @@
 import copy
 import multiprocessing
 import pickle
-import subprocess
-import sys
 import threading
 from dataclasses import replace
 
@@ -83,16 +81,8 @@ def test_a_copy_before_the_first_reset_is_an_environment_too():
 
 
 @pytest.mark.slow(reason="needs another process")
-def test_a_pickle_goes_on_in_another_process(tmp_path):
-    env = in_the_middle(several, "mujoco")
-    (tmp_path / "env").write_bytes(pickle.dumps(env))
-    code = (
-        "import pickle, sys; sys.path.insert(0, 'tests/envs/learning'); import test_state\n"
-        f"env = pickle.loads(open({str(tmp_path / 'env')!r}, 'rb').read())\n"
-        f"open({str(tmp_path / 'rows')!r}, 'wb').write(pickle.dumps(test_state.onwards(env)))"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)
-    assert data_equivalence(pickle.loads((tmp_path / "rows").read_bytes()), onwards(env), exact=True)
+def test_a_pickle_goes_on_in_another_process(elsewhere):
+    assert data_equivalence(elsewhere["onwards"], onwards(in_the_middle(several, "mujoco")), exact=True)
 
 
 @pytest.mark.parametrize("make", [single, several])

@@ -10,6 +10,8 @@ from armperturb.study.experiments.cohort_cells import measure_cohort
 from armperturb.study.recording.record import record_study
 from armperturb.study.recording.settings import StudySettings
 from armperturb.study.results.quantities import measured_cells, published_cells
+from armperturb.study.validation.validate import ValidateSettings, validate
+from armperturb.workers import kept_workers
 
 PROTOCOL = """
 forces = "practice"
@@ -60,12 +62,22 @@ def test_a_larger_cohort_begins_with_the_same_people(settings, alone):
     np.testing.assert_array_equal(first, alone[:1])
 
 
-@pytest.mark.slow(reason="processes of a Dask cluster")
-def test_processes_and_a_dask_cluster_give_the_same_cells(settings, alone):
+@pytest.mark.slow(reason="processes of a pool")
+def test_processes_give_the_same_cells_and_the_same_validation(settings, alone):
+    validation = ValidateSettings(task="RT", model="1", groups=2, trials=1, estimators=("frequency", "record"))
+    with kept_workers():  # whose start takes longer than what they do
+        assert measure_cohort(settings, workers=2, show_progress=False).equals(alone)
+        one, two = (validate(validation, workers=count, show_progress=False) for count in (1, 2))
+    assert one.to_frame().equals(two.to_frame())
+    assert one.names == two.names == validation.structure().free
+
+
+@pytest.mark.slow(reason="starts a Dask cluster")
+def test_a_dask_cluster_gives_the_same_cells(settings, alone):
+    """Its worker is a thread, which starts sooner than a process; all goes through the network."""
     distributed = pytest.importorskip("distributed")
-    assert measure_cohort(settings, workers=2, show_progress=False).equals(alone)
     options = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": None, "silence_logs": 50}
-    with distributed.LocalCluster(**options) as cluster:
+    with distributed.LocalCluster(processes=False, protocol="tcp", **options) as cluster:
         assert measure_cohort(settings, dask=cluster.scheduler_address, show_progress=False).equals(alone)
 
 

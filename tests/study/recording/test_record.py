@@ -3,15 +3,16 @@
 import hashlib
 import io
 import logging
+import multiprocessing
 import os
 import resource
 import shutil
 import signal
-import subprocess
 import sys
 import threading
 import time
 from dataclasses import replace
+from multiprocessing import forkserver
 
 import numpy as np
 import psutil
@@ -23,6 +24,7 @@ from armperturb.study.recording import record as runner
 from armperturb.study.recording.record import record_study
 from armperturb.study.recording.settings import StudySettings
 from armperturb.study.results.analyse import run_study
+from armperturb.workers import kept_workers
 
 pytestmark = pytest.mark.slow(reason="records studies, in processes that are killed and interrupted")
 
@@ -84,6 +86,23 @@ def copied(finished, tmp_path):
     return tmp_path / "copied"
 
 
+@pytest.fixture(scope="module")
+def kept_processes():
+    """Local worker processes are passed on from one test to the next."""
+    with kept_workers(runner.__name__):
+        yield
+
+
+@pytest.fixture(scope="module")
+def forked():
+    """What starts processes that need not load the package, as one that never worked has loaded it for them."""
+    context = multiprocessing.get_context("forkserver")
+    ours = [runner.__name__, run_study.__module__, "armperturb.commands.study"]
+    context.set_forkserver_preload([*ours, "dask.array", "distributed", "h5netcdf", "pytest"])
+    forkserver.ensure_running()
+    return context
+
+
 def files(out):
     return {path.name: path.read_bytes() for path in (out / "recordings").iterdir()}
 
@@ -117,15 +136,11 @@ def count(out):
     return len(list((out / "recordings").glob("*.nc")))
 
 
-def command(out, protocol, *options):
-    return [
-        *(sys.executable, "-m", "armperturb.cli", "study", "--out", str(out), "--protocol", str(protocol)),
-        *("--subjects", str(N_SUBJECTS), "--seed", "3", "--muscles", "linear", "--record-only", *options),
-    ]
-
-
 def arguments(out, protocol, *options):
-    return command(out, protocol, *options)[3:]
+    return [
+        *("study", "--out", str(out), "--protocol", str(protocol), "--subjects", str(N_SUBJECTS), "--seed", "3"),
+        *("--muscles", "linear", "--record-only", *options),
+    ]
 
 
 def wait_for(condition):
@@ -171,13 +186,13 @@ def killing(out, victim):
     return thread, on_the_way
 
 
-def a_worker():
+def local_workers():
     children = psutil.Process().children()
-    return next(child for child in children if any("LokyProcess" in word for word in child.cmdline()))
+    return [child for child in children if any("LokyProcess" in word for word in child.cmdline())]
 
 
-def test_workers_change_no_file_though_one_is_killed(settings, undisturbed, tmp_path, caplog):
-    thread, on_the_way = killing(tmp_path, a_worker)
+def test_workers_change_no_file_though_one_is_killed(settings, undisturbed, kept_processes, tmp_path, caplog):
+    thread, on_the_way = killing(tmp_path, lambda: local_workers()[0])
     with caplog.at_level(logging.WARNING):
         record_study(settings, tmp_path, workers=2, show_progress=False)
     thread.join()
@@ -186,12 +201,16 @@ def test_workers_change_no_file_though_one_is_killed(settings, undisturbed, tmp_
     assert_same_content(tmp_path, undisturbed)
 
 
-def test_a_dask_cluster_gives_the_same_files_though_a_worker_is_killed(settings, undisturbed, tmp_path):
+def test_a_dask_cluster_gives_the_same_files_though_a_worker_is_killed(settings, undisturbed, forked, tmp_path):
+    import dask
     from distributed import Client, LocalCluster
 
-    with LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs=logging.CRITICAL
-    ) as cluster:
+    with (
+        dask.config.set({"distributed.worker.multiprocessing-method": forked.get_start_method()}),
+        LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs=logging.CRITICAL
+        ) as cluster,
+    ):
         with Client(cluster, set_as_default=False) as client:
             pids = list(client.run(os.getpid).values())
         thread, on_the_way = killing(tmp_path, lambda: psutil.Process(pids[0]))
@@ -201,19 +220,26 @@ def test_a_dask_cluster_gives_the_same_files_though_a_worker_is_killed(settings,
     assert_same_content(tmp_path, undisturbed)
 
 
-def started(out, protocol, *options):
-    """A study in processes of its own, which Ctrl-C reaches as in a terminal, and its workers once a file is there."""
+def study(out, arguments):
+    """What the command does, in a process group that Ctrl-C reaches as in a terminal."""
+    os.setsid()
+    # Where the tests run in the background, Ctrl-C may be ignored; a study would inherit that.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    for stream, name in ((1, os.devnull), (2, errors_of(out))):
+        os.dup2(os.open(name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), stream)
+    sys.exit(main(arguments))
+
+
+def errors_of(out):
+    return out.with_name(f"{out.name}-errors")
+
+
+def started(forked, out, protocol, *options):
+    """A study in processes of its own, and its workers once a file is there."""
     before = count(out)
-    run = subprocess.Popen(
-        command(out, protocol, "--block", "4", *options),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-        # Where the tests run in the background, Ctrl-C may be ignored; a study would inherit that.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )
-    wait_for(lambda: count(out) > before or run.poll() is not None)
+    run = forked.Process(target=study, args=(out, arguments(out, protocol, "--block", "4", *options)))
+    run.start()
+    wait_for(lambda: count(out) > before or not run.is_alive())
     return run, psutil.Process(run.pid).children(recursive=True)
 
 
@@ -222,24 +248,26 @@ def assert_ended(processes):
     assert not [process for process in alive if process.status() != "zombie"]
 
 
-def interrupted(out, protocol, *options):
+def interrupted(run, workers, out):
     """Seconds that a study takes to stop at a Ctrl-C."""
-    run, workers = started(out, protocol, *options)
     start = time.monotonic()
     os.killpg(run.pid, signal.SIGINT)  # as a terminal does: to all processes
-    _, errors = run.communicate(timeout=PATIENCE)
+    run.join(timeout=PATIENCE)
     took = time.monotonic() - start
-    assert run.returncode == 130, errors
+    errors = errors_of(out).read_text()
+    assert run.exitcode == 130, errors
     assert errors == "armperturb: interrupted; the same command continues from here\n"
     assert_ended(workers)
     return took
 
 
-def stopped_soon(tmp_path, protocol, *options):
+def stopped_soon(forked, tmp_path, protocol, *options, meanwhile=lambda *_: None):
     """The folder of a study that was interrupted and stopped soon."""
     for attempt in range(3):
         out = tmp_path / str(attempt)
-        took = interrupted(out, protocol, *options)
+        run, workers = started(forked, out, protocol, *options)
+        meanwhile(run, out)
+        took = interrupted(run, workers, out)
         if took < 2.0:  # where other tests hold the processors, it waits for them, too
             break
     assert took < 2.0
@@ -251,21 +279,32 @@ def stopped_soon(tmp_path, protocol, *options):
     return out
 
 
-def test_ctrl_c_stops_soon_and_keeps_what_is_finished(protocol, settings, undisturbed, tmp_path):
-    out = stopped_soon(tmp_path, protocol, "--workers", "1")
+def test_ctrl_c_stops_soon_and_keeps_what_is_finished_and_a_second_run_is_refused_before(
+    forked, protocol, settings, undisturbed, tmp_path, capsys
+):
+    def second_run(run, out):
+        os.kill(run.pid, signal.SIGSTOP)  # lest it ends meanwhile
+        status = main(arguments(out, protocol))
+        os.kill(run.pid, signal.SIGCONT)
+        assert status == 1
+        assert capsys.readouterr().err.startswith(
+            f"armperturb: error: {out}: another run is at work in this folder (process {run.pid}"
+        )
+
+    out = stopped_soon(forked, tmp_path, protocol, "--workers", "1", meanwhile=second_run)
     record_study(settings, out, show_progress=False)
     assert_same_content(out, undisturbed)
 
 
 def test_interrupted_and_killed_with_its_workers_and_started_again_it_ends_the_same(
-    protocol, undisturbed, tmp_path, capfd
+    forked, protocol, undisturbed, tmp_path, capfd
 ):
-    out = stopped_soon(tmp_path, protocol, "--workers", "2")
+    out = stopped_soon(forked, tmp_path, protocol, "--workers", "2")
     # At any other time: ten times in `benchmarks.study_kills`. What a killed run's helpers say is not the next one's.
-    run, workers = started(out, protocol, "--workers", "2")
+    run, workers = started(forked, out, protocol, "--workers", "2")
     time.sleep(np.random.default_rng(2).uniform(0.0, 0.2))
     run.kill()
-    run.communicate()
+    run.join()
     assert_ended(workers)
     capfd.readouterr()
     assert main(arguments(out, protocol, "--workers", "1")) == 0
@@ -293,14 +332,18 @@ def test_finished_subjects_are_not_done_again(settings, copied, monkeypatch):
     assert found == [copied / "recordings" / f"S0{number}.nc" for number in range(1, N_SUBJECTS + 1)]
 
 
-def test_a_full_disk_is_one_line_and_spares_earlier_files(protocol, settings, undisturbed, copied, capfd):
+def test_a_full_disk_is_one_line_and_spares_earlier_files(
+    protocol, settings, undisturbed, kept_processes, copied, capfd
+):
     for name in ("S02.nc", "S04.nc"):
         (copied / "recordings" / name).unlink()
     before = files(copied)
     # A limit on the size of files stands for a full disk: the same call fails in the same place.
     unlimited = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (len(undisturbed["S02.nc"]) // 2, unlimited[1]))
+    limit = (len(undisturbed["S02.nc"]) // 2, unlimited[1])
     try:
+        for process in (psutil.Process(), *local_workers()):
+            process.rlimit(psutil.RLIMIT_FSIZE, limit)
         status = main(arguments(copied, protocol, "--workers", "2"))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, unlimited)
@@ -312,19 +355,9 @@ def test_a_full_disk_is_one_line_and_spares_earlier_files(protocol, settings, un
     assert_same_content(copied, undisturbed)
 
 
-def test_a_second_run_and_other_settings_are_refused(protocol, settings, tmp_path, capsys):
-    with subprocess.Popen(command(tmp_path, protocol, "--workers", "1", "--block", "1")) as run:
-        wait_for(lambda: list((tmp_path / "recordings").glob("*.nc")))
-        refused = main(arguments(tmp_path, protocol))
-        still_running = run.poll() is None
-        run.kill()
-    assert still_running
-    assert refused == 1
-    assert capsys.readouterr().err.startswith(
-        f"armperturb: error: {tmp_path}: another run is at work in this folder (process {run.pid}"
-    )
+def test_other_settings_are_refused(settings, copied):
     with pytest.raises(ValueError, match=r"ideal is false there and true now; protocol.forces is \"published\" there"):
-        record_study(replace(settings, ideal=True, forces="practice"), tmp_path)
+        record_study(replace(settings, ideal=True, forces="practice"), copied)
 
 
 def test_another_protocol_in_the_same_file_is_refused(settings, tmp_path):

@@ -89,12 +89,12 @@ def test_a_figure_is_drawn_once(study, tmp_path, monkeypatch):
 
     monkeypatch.setattr(pages, "svg", svg)
     monkeypatch.setattr(rig_figures, "render", plain_picture)
-    figures = ("fit_PT", "peak_displacement", "rig", "trajectories_PT")
+    figures = ("prediction_PT", "peak_displacement", "rig", "trajectories_PT")
     page = sketch(study, tmp_path, figures)
     assert len(drawn) == len(figures)
     files = {name: tmp_path / "figures" / f"{name}.svg" for name in figures}
     content = {name: path.read_bytes() for name, path in files.items()}
-    files["fit_PT"].write_text("scribbled on")
+    files["prediction_PT"].write_text("scribbled on")
     files["rig"].unlink()
     assert sketch(replace(study), tmp_path, figures) == page
     assert len(drawn) == len(figures)
@@ -110,18 +110,9 @@ def test_what_cannot_be_drawn_is_tried_again(study, tmp_path, monkeypatch):
     def without_library(*args, **options):
         raise RuntimeError("render: no OpenGL context")
 
+    nobody = replace(study, cases=(), people=())
     monkeypatch.setattr(rig_figures, "render", without_library)
-    assert "no OpenGL context" in sketch(study, tmp_path, ("rig",))
+    assert "no OpenGL context" in sketch(nobody, tmp_path, ("rig",))
     monkeypatch.setattr(rig_figures, "render", plain_picture)
-    assert "no OpenGL context" not in sketch(study, tmp_path, ("rig",))
+    assert "no OpenGL context" not in sketch(nobody, tmp_path, ("rig",))
     assert (tmp_path / "figures" / "rig.svg").exists()
-
-
-@pytest.mark.slow(reason="starts processes that load what draws")
-def test_workers_draw_the_same_bytes(study, tmp_path):
-    figures = ("fit_PT", "trajectories_PT")
-    pages = [sketch(study, tmp_path / str(workers), figures, workers) for workers in (1, 2)]
-    assert pages[0] == pages[1]
-    for name in figures:
-        one, two = (tmp_path / folder / "figures" / f"{name}.svg" for folder in "12")
-        assert one.read_bytes() == two.read_bytes()

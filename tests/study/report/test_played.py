@@ -1,6 +1,7 @@
 """Trials and films of pulses that the report plays."""
 
 import base64
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -83,7 +84,7 @@ def test_stills_take_the_place_of_films(study, tmp_path, monkeypatch, error):
 
     monkeypatch.setattr(rig_figures, "render", plain_picture)
     monkeypatch.setattr(films, "write_video", write_video)
-    page = sketch(study, tmp_path, ("stills",))
+    page = sketch(replace(study, people=()), tmp_path, ("stills",))
     assert "<video" not in page
     assert "No films: " in page
     assert 'id="figure-stills"' in page
@@ -93,4 +94,4 @@ def test_a_film_that_is_too_large_is_left_out(study, tmp_path, monkeypatch):
     monkeypatch.setattr(rig_figures, "render", plain_picture)
     monkeypatch.setattr(films, "write_video", plain_film)
     monkeypatch.setattr(films, "MOST_BYTES", 100)
-    assert "<video" not in sketch(study, tmp_path, ("stills",))
+    assert "<video" not in sketch(replace(study, people=()), tmp_path, ("stills",))

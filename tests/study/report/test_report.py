@@ -577,7 +577,7 @@ def test_tells_how_far_people_change_after_practice(study, tmp_path):
         for reached in (1.0, 1.25)
     )
     for protocol, told in ((steady, False), (changing, True)):
-        text = sketch(replace(study, protocol=protocol, cases=()), tmp_path)
+        text = sketch(replace(study, protocol=protocol, cases=(), people=()), tmp_path)
         assert "until the displacement is as intended" in text
         assert ("as people change before the experiment" in text) == told
         assert ("1.2 in PT2.5" in text) == told
@@ -638,7 +638,7 @@ def test_a_failure_leaves_no_report(study, tmp_path):
             raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
-        sketch(replace(study, missing=(Unprintable(),)), tmp_path)
+        sketch(replace(study, missing=(Unprintable(),), cases=(), people=()), tmp_path)
     assert not (tmp_path / "report.html").exists()
 
 

@@ -4,6 +4,7 @@ import csv
 import gzip
 import math
 import re
+import shutil
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -313,13 +314,19 @@ def test_estimates_beyond_the_axis_stand_at_its_end():
     assert names == {"nonlinear_parameters_RT", "nonlinear_prediction", "nonlinear_trajectories_RT"}
 
 
-@pytest.fixture
-def folder(yielding, tmp_path, monkeypatch):
-    """Recordings of two people of whom nothing is known; their linear analysis takes no time."""
-    (tmp_path / "recordings").mkdir()
+@pytest.fixture(scope="module")
+def recorded(yielding, tmp_path_factory):
+    """Recordings of two people of whom nothing is known."""
+    root = tmp_path_factory.mktemp("recorded")
+    (root / "recordings").mkdir()
     for name in ("S01", "S02"):
         named = yielding.assign_coords(subject=("trial", [name] * yielding.sizes["trial"]))
-        save_recording(named, tmp_path / "recordings" / f"{name}.nc")
+        save_recording(named, root / "recordings" / f"{name}.nc")
+    return root
+
+
+def invent_linear_analysis(monkeypatch):
+    """The linear analysis takes no time."""
     measures = {person.name: person for person in people_of(("S01", "S02"))}
 
     def analyse_person(recording, *_):
@@ -328,12 +335,10 @@ def folder(yielding, tmp_path, monkeypatch):
 
     monkeypatch.setattr(analyse, "analyse_person", analyse_person)
     monkeypatch.setattr(analyse, "fit_second_step", lambda *_: SecondStep({}, ()))
-    return tmp_path
 
 
-@pytest.fixture
-def asked(monkeypatch):
-    """What is fitted; nothing takes any time. S02 has no pulses that can be fitted at 200 degrees."""
+def invent_nonlinear_fits(monkeypatch):
+    """Nonlinear fits take no time; gives what is fitted. S02 has no pulses that can be fitted at 200 degrees."""
     calls = []
 
     def fit(recording, task, cases, fitted_deg, start, checkpoint):
@@ -347,6 +352,19 @@ def asked(monkeypatch):
 
     monkeypatch.setattr(analyse, "fit_nonlinear", fit)
     return calls
+
+
+@pytest.fixture
+def folder(recorded, tmp_path, monkeypatch):
+    """These recordings; nothing is analysed yet."""
+    invent_linear_analysis(monkeypatch)
+    return shutil.copytree(recorded, tmp_path / "recorded")
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """What is fitted."""
+    return invent_nonlinear_fits(monkeypatch)
 
 
 def section(page):
@@ -425,12 +443,21 @@ def unused(folder, name, reason):
     )
 
 
+@pytest.fixture(scope="module")
+def once_fitted(recorded, tmp_path_factory):
+    root = shutil.copytree(recorded, tmp_path_factory.mktemp("fitted") / "study")
+    with pytest.MonkeyPatch.context() as patch:
+        invent_linear_analysis(patch)
+        invent_nonlinear_fits(patch)
+        analysed(root, ["RT"])
+    return root
+
+
 @pytest.fixture
-def fitted_folder(folder, asked):
+def fitted_folder(once_fitted, tmp_path, monkeypatch):
     """A folder in which everybody is identified nonlinearly in RT."""
-    analysed(folder, ["RT"])
-    asked.clear()
-    return folder
+    invent_linear_analysis(monkeypatch)
+    return shutil.copytree(once_fitted, tmp_path / "fitted")
 
 
 FOLLOWS = "it follows from a fit that is not used"

@@ -29,6 +29,7 @@ from armperturb.study.results.analyse import analyse_study
 from armperturb.study.results.appendix_fits import Fits, SecondStep
 from armperturb.study.results.person import PersonResults, missing_trials
 from armperturb.study.results.quantities import Cell
+from armperturb.workers import kept_workers
 from tests.studies import FEW_FITS, sketch
 
 COMPUTING = ("analyse_person", "fit_second_step")
@@ -184,7 +185,7 @@ def test_people_without_a_whole_recording_are_told(study, copied, tmp_path):
         result = score(found)
         assert result.people == 1
         assert incomplete in result.remarks
-    text = sketch(found, tmp_path / "report")
+    text = sketch(replace(found, people=()), tmp_path / "report")
     assert 0 < text.index("S02.nc does not match its checksum") < text.index(incomplete) < text.index("<section")
 
 
@@ -213,7 +214,7 @@ def test_manifests_of_other_versions_are_told(study, copied, asked, tmp_path):
     assert found.missing == (line,)
     assert differences(found.people, study.people) == []
     assert found.has_truth
-    assert line in sketch(found, tmp_path / "report")
+    assert line in sketch(replace(found, people=()), tmp_path / "report")
 
     changed_manifest(copied, people="others")
     found = analysed(copied)
@@ -254,7 +255,8 @@ def test_without_a_manifest_conditions_are_the_thesiss_of_the_same_names(study, 
     assert len(asked) == len(COMPUTING)
 
 
-def test_recordings_of_other_conditions_are_no_study(copied):
+def test_recordings_of_other_conditions_are_no_study(copied, monkeypatch):
+    monkeypatch.setattr(person, "identify_person", lambda *_: ())  # takes seconds
     (copied / "manifest.json").unlink()
     path = copied / "recordings" / "S01.nc"
     recording = load_recording(path)
@@ -324,8 +326,15 @@ published_force = 1.8
 """
 
 
+@pytest.fixture(scope="module")
+def kept_processes():
+    """Worker processes are passed on from an analysis to a report, as the command does."""
+    with kept_workers(analyse.__name__, report.__name__):
+        yield
+
+
 @pytest.mark.slow(reason="analyses in several processes")
-def test_worker_processes_change_nothing_but_roundings(tmp_path):
+def test_worker_processes_change_nothing_but_roundings(kept_processes, tmp_path):
     (tmp_path / "p.toml").write_text(LONG_ENOUGH)
     # A step at which this takes seconds; nothing here depends on it.
     settings = StudySettings(subjects=2, protocol=tmp_path / "p.toml", muscles="linear", timestep=5e-3)
@@ -337,6 +346,16 @@ def test_worker_processes_change_nothing_but_roundings(tmp_path):
     assert len(here.people[0].trials) == 1  # appendix C, which takes long, starts from RT7.5, which is not there
     # With another number of threads, BLAS adds in another order.
     assert differences(here, there, rel=1e-10) == []
+
+
+@pytest.mark.slow(reason="draws in several processes")
+def test_workers_draw_the_same_bytes(study, kept_processes, tmp_path):
+    figures = ("fit_PT", "trajectories_PT")
+    pages = [sketch(study, tmp_path / str(workers), figures, workers) for workers in (1, 2)]
+    assert pages[0] == pages[1]
+    for name in figures:
+        one, two = (tmp_path / folder / "figures" / f"{name}.svg" for folder in "12")
+        assert one.read_bytes() == two.read_bytes()
 
 
 def test_the_command_reports_on_what_is_there(copied, capsys, monkeypatch):
