@@ -37,7 +37,7 @@ def pytest_collection_modifyitems(items):
 
 def pytest_collection_finish():
     gc.freeze()  # what was imported for all tests need not be searched for garbage in each
-    gc.set_threshold(20_000, 20, 20)  # seldom: a study of small arrays makes little of it
+    gc.set_threshold(300_000, 20, 20)  # seldom: a study of small arrays makes little of it
 
 
 @pytest.fixture(scope="session")

@@ -12,10 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from armperturb.analysis.arm.parameters import GROUPS, MATRIX
 from armperturb.arrays import Array, ComplexArray
 
+_ENTRIES = np.stack([MATRIX[quantity] for quantity in ("b", "k", "kv", "kp", "ka", "kf", "i")])
 
-def joint_matrix(values: Array, quantity: str) -> Array:
-    """Joint matrix of a quantity, ready for frequencies, (joint, joint, ..., 1)."""
-    return values[MATRIX[quantity]][..., None]
+
+def joint_matrices(values: Array) -> Array:
+    """Joint matrices b, k, kv, kp, ka, kf and i, ready for frequencies, (quantity, joint, joint, ..., 1)."""
+    return values[_ENTRIES][..., None]
 
 
 def laplace(frequency: ArrayLike) -> ComplexArray:
@@ -86,10 +88,7 @@ class Joints(NamedTuple):
     Attributes:
       delayed: transfer function of the delay, (joint, frequency).
       active: that of the activation filter, (joint, frequency).
-      delay_slope: derivative by the delay, (joint, frequency).
-      active_slope: derivative by the cut-off frequency, (joint, frequency).
-      damping_slope: derivative by the filter's damping, (joint, frequency).
-      loop: (1 - R Kf)^-1, (joint, joint, frequency).
+      loop: (1 - R Kf)^-1, (joint, joint, frequency); None without force feedback, where it is 1.
       muscle: from q to tau, (joint, joint, frequency).
       reflex: from q to u_r, (joint, joint, frequency).
       impedance: Z, (joint, joint, frequency).
@@ -97,10 +96,7 @@ class Joints(NamedTuple):
 
     delayed: ComplexArray
     active: ComplexArray
-    delay_slope: ComplexArray
-    active_slope: ComplexArray
-    damping_slope: ComplexArray
-    loop: ComplexArray
+    loop: ComplexArray | None
     muscle: ComplexArray
     reflex: ComplexArray
     impedance: ComplexArray

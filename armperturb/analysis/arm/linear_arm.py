@@ -29,7 +29,7 @@ from armperturb.analysis.arm.joint_matrices import (
     Joints,
     by_triple,
     inverse,
-    joint_matrix,
+    joint_matrices,
     laplace,
     matrix_first,
     matrix_last,
@@ -122,7 +122,7 @@ class LinearArm:
     def joint_impedance_gradient(self, values: Array) -> ComplexArray:
         """Derivative of `joint_impedance` by every parameter, (frequency, joint, joint, parameter)."""
         gradient = Gradient(self._s.shape, tuple(GROUPS))
-        self._joint_change(gradient, self._joints(values), self._eye, self._eye)
+        self._joint_change(gradient, values, self._joints(values), self._eye, self._eye)
         gradient.put("grip", np.zeros((), dtype=complex))
         return parameter_last(gradient.values)
 
@@ -239,34 +239,36 @@ class LinearArm:
         u = s * delay
         if self.delay == "exact":
             delayed = np.exp(-u)
-            delay_slope = -s * delayed
         else:
-            denominator = 120 + u * (60 + u * (12 + u))
-            delayed = (120 + u * (-60 + u * (12 - u))) / denominator
-            delay_slope = s * (-60 + u * (24 - 3 * u) - delayed * (60 + u * (24 + 3 * u))) / denominator
-        denominator = s2 + 2 * zeta * omega * s + omega**2
-        active = omega**2 / denominator
-        active_slope = 4 * np.pi * (omega - active * (zeta * s + omega)) / denominator
-        damping_slope = -2.0 * s * omega * active / denominator
+            delayed = (120 + u * (-60 + u * (12 - u))) / (120 + u * (60 + u * (12 + u)))
+        active = omega**2 / (s2 + 2 * zeta * omega * s + omega**2)
 
         r = (delayed * active)[:, None]
-        force = joint_matrix(values, "kf")
-        feedback = joint_matrix(values, "ka") * s2 + joint_matrix(values, "kv") * s + joint_matrix(values, "kp")
-        loop = inverse(self._eye - r * force)
-        muscle = product(loop, joint_matrix(values, "b") * s + joint_matrix(values, "k") + r * feedback)
+        b, k, kv, kp, ka, kf, i = joint_matrices(values)
+        feedback = ka * s2 + kv * s + kp
+        loop, muscle, reflex = None, b * s + k + r * feedback, feedback
+        if kf.any():
+            loop = inverse(self._eye - r * kf)
+            muscle = product(loop, muscle)
+            reflex = feedback + product(kf, muscle)
         mass = values[0] * matrix_first(self.inertias[0]) + values[1] * matrix_first(self.inertias[1])
-        mass = mass + values[MATRIX["i"]]
-        return Joints(
-            delayed=delayed,
-            active=active,
-            delay_slope=delay_slope,
-            active_slope=active_slope,
-            damping_slope=damping_slope,
-            loop=loop,
-            muscle=muscle,
-            reflex=feedback + product(force, muscle),
-            impedance=mass[..., None] * s2 + muscle,
-        )
+        impedance = (mass[..., None] + i) * s2 + muscle
+        return Joints(delayed=delayed, active=active, loop=loop, muscle=muscle, reflex=reflex, impedance=impedance)
+
+    def _dynamics_change(self, values: Array, joints: Joints) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Derivatives of R by the delay, the cut-off frequency and the filter's damping, (joint, frequency) each."""
+        s, delayed, active = self._s, joints.delayed, joints.active
+        zeta, delay, omega = values[ACTIVE_DAMPING], values[DELAYS, None], 2 * np.pi * values[CUTOFFS, None]
+        if self.delay == "exact":
+            by_delay = -s * delayed
+        else:
+            u = s * delay
+            by_delay = s * (-60 + u * (24 - 3 * u) - delayed * (60 + u * (24 + 3 * u)))
+            by_delay /= 120 + u * (60 + u * (12 + u))
+        denominator = self._s2 + 2 * zeta * omega * s + omega**2
+        by_cutoff = 4 * np.pi * (omega - active * (zeta * s + omega)) / denominator
+        by_damping = -2.0 * s * omega * active / denominator
+        return by_delay * active, delayed * by_cutoff, delayed * by_damping
 
     def _arm_and_gradient(
         self, values: Array, environment: Environment | None, groups: Sequence[str] = tuple(GROUPS)
@@ -285,13 +287,15 @@ class LinearArm:
             share = self._share(arm, environment)
             left, right, through_grip = product(share, left), product(right, share), product(share, share)
         gradient = Gradient(self._s.shape, groups)
-        self._joint_change(gradient, joints, -left, right)
+        self._joint_change(gradient, values, joints, -left, right)
         if gradient.wants("grip"):
             by_stiffness = -(self._grip(values) ** 2) * through_grip
             gradient.put("grip", np.stack([self._s * by_stiffness, by_stiffness]))
         return arm, gradient.values
 
-    def _joint_change(self, out: Gradient, joints: Joints, left: NDArray[Any], right: NDArray[Any]) -> None:
+    def _joint_change(
+        self, out: Gradient, values: Array, joints: Joints, left: NDArray[Any], right: NDArray[Any]
+    ) -> None:
         """Put left x (derivative of Z) x right for every wanted parameter but the grip's.
 
         With W = (1 - R Kf)^-1 (B s + K + R G) the muscle's part of Z and G the part of the feedback that sees q,
@@ -303,7 +307,7 @@ class LinearArm:
             out.put("m", np.stack([s2 * product(product(left, each), right) for each in inertias]))
         if out.wants("i"):
             out.put("i", s2 * by_triple(left[:, :, None, None] * right))
-        left = product(left, joints.loop)
+        left = left if joints.loop is None else product(left, joints.loop)
         reflexive = left * (joints.delayed * joints.active)
         if out.wants("b", "k"):
             stiffness = by_triple(left[:, :, None, None] * right)
@@ -319,11 +323,7 @@ class LinearArm:
             out.put("kf", by_triple(reflexive[:, :, None, None] * product(joints.muscle, right)))
         if out.wants("Td", "fact", "zeta"):
             moved = (left[:, :, None] * product(joints.reflex, right)[None]).swapaxes(0, 1)
-            for group, slope in (
-                ("Td", joints.delay_slope * joints.active),
-                ("fact", joints.delayed * joints.active_slope),
-                ("zeta", joints.delayed * joints.damping_slope),
-            ):
+            for group, slope in zip(("Td", "fact", "zeta"), self._dynamics_change(values, joints), strict=True):
                 if out.wants(group):
                     change = moved * slope[:, None, None]
                     # One damping ratio is that of both joints.
