@@ -4,7 +4,9 @@ Matrices have their rows and columns first, (row, column, frequency), which make
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -82,7 +84,8 @@ class Gradient:
         self.values[self._rows[group]] = values
 
 
-class Joints(NamedTuple):
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Joints:
     """What joint impedance and its derivatives share; rows are joints.
 
     Attributes:
@@ -100,3 +103,8 @@ class Joints(NamedTuple):
     muscle: ComplexArray
     reflex: ComplexArray
     impedance: ComplexArray
+
+    @cached_property
+    def compliance(self) -> ComplexArray:
+        """Z^-1, (joint, joint, frequency)."""
+        return inverse(self.impedance)

@@ -90,11 +90,12 @@ class LinearArm:
         self._right = self._left.swapaxes(0, 1)
         self._eye = np.eye(2)[..., None]
         self._deflection = np.concatenate([-self.jacobian, np.eye(2)], axis=-1)
+        self._latest: tuple[tuple[int, ...], bytes, Joints] | None = None
 
     def _at(self, s: ComplexArray) -> Self:
         """The same arm with Pade delays at other complex frequencies [1/s], (n,)."""
         other = copy.copy(self)
-        other.delay, other._s, other._s2 = "pade", s, s**2
+        other.delay, other._s, other._s2, other._latest = "pade", s, s**2, None
         return other
 
     def joint_impedance(self, values: Array) -> ComplexArray:
@@ -103,11 +104,11 @@ class LinearArm:
 
     def admittance(self, values: Array) -> ComplexArray:
         """Endpoint admittance H_xf of arm and grip, from f to x [m/N], (frequency, output, input)."""
-        return matrix_last(self._endpoint(inverse(self._joints(values).impedance), values))
+        return matrix_last(self._endpoint(self._joints(values).compliance, values))
 
     def total_admittance(self, values: Array, environment: Environment) -> ComplexArray:
         """Admittance P_dx of arm and environment, from d to x [m/N], (frequency, output, input)."""
-        arm = self._endpoint(inverse(self._joints(values).impedance), values)
+        arm = self._endpoint(self._joints(values).compliance, values)
         return matrix_last(product(arm, self._share(arm, environment)))
 
     def equivalent_torque(self, values: Array) -> ComplexArray:
@@ -233,6 +234,13 @@ class LinearArm:
         return np.asarray(1.0 / (values[..., GRIP_DAMPING, None] * self._s + values[..., GRIP_STIFFNESS, None]))
 
     def _joints(self, values: Array) -> Joints:
+        """What is remembered of the latest values: a search asks for a response, then for its derivatives there."""
+        key, latest = (values.shape, values.tobytes()), self._latest
+        if latest is None or latest[:2] != key:
+            self._latest = latest = *key, self._joints_of(values)
+        return latest[2]
+
+    def _joints_of(self, values: Array) -> Joints:
         s, s2, values = self._s, self._s2, np.moveaxis(values, -1, 0)
         zeta = values[ACTIVE_DAMPING, ..., None]
         delay, omega = values[DELAYS][..., None], 2 * np.pi * values[CUTOFFS][..., None]
@@ -279,9 +287,8 @@ class LinearArm:
           (output, input, frequency) and (parameter, output, input, frequency).
         """
         joints = self._joints(values)
-        compliance = inverse(joints.impedance)
-        arm = self._endpoint(compliance, values)
-        left, right = product(self._left, compliance), product(compliance, self._right)
+        arm = self._endpoint(joints.compliance, values)
+        left, right = product(self._left, joints.compliance), product(joints.compliance, self._right)
         through_grip = self._eye
         if environment is not None:
             share = self._share(arm, environment)
