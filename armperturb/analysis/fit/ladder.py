@@ -236,7 +236,7 @@ def choose_structure(
             if (other in tried and place in moved) or (other not in tried and promising):
                 rung = _sketched(group, other, fits[other], [tried[place], tried[RICHEST]], method)
                 tried[other] = min(tried.get(other, rung), rung, key=_objective)
-        moved = set()
+        moved.discard(place)
         for other, rung in tried.items():
             # No structure is less likely than its special case: its search ended in the wrong place.
             special = min((tried[each] for each in tried if _is_special(each, other)), key=_objective, default=rung)
