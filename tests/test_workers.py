@@ -245,6 +245,7 @@ def test_a_wrong_dask_address_is_told(monkeypatch):
         DaskCluster("nonsense://x")
 
 
+@pytest.mark.slow(reason="starts a Dask cluster")
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries keep what they like")
 def test_workers_of_a_dask_cluster_keep_the_memory_of_arrays():
     from distributed import LocalCluster

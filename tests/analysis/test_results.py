@@ -221,6 +221,7 @@ def test_the_plot_draws_estimate_model_and_bands(identified):
     assert len(both[0, 0, 0].get_lines()) == 4
 
 
+@pytest.mark.slow(reason="identifies trials and draws bands")
 def test_bands_are_those_of_the_parameters(noisy_relax_recording):
     fit = identify_conditions(noisy_relax_recording, "1", estimator="frequency")["RT7.5"].fit
     frequency = np.array([0.5, 2.0, 8.0])

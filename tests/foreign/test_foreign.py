@@ -155,6 +155,7 @@ def test_a_recording_with_a_zeroed_sector_is_read_or_refused_in_time(recording_f
     assert all(text.startswith(str(path)) and "\n" not in text and len(text) < 500 for text in refused)
 
 
+@pytest.mark.slow(reason="waits for a child process")
 def test_the_child_process_is_stopped_in_time_and_its_limits_named(recording_file, tmp_path, monkeypatch):
     with pytest.raises(Refused, match=r"r.nc: parsing took 0.0001 s; expected an undamaged file"):
         read_foreign(recording_file, seconds=1e-4)

@@ -142,6 +142,7 @@ def test_multisine_without_pulse_lasts_the_whole_trial(people):
     assert sorted(trial.repetition for trial in trials) == [0, 1]
 
 
+@pytest.mark.slow(reason="lowers the peaks of three multisines")
 def test_co_contraction_of_a_condition_is_that_of_its_trials(people):
     conditions = tuple(
         Condition(name=name, task=name[:2], rms_displacement=0.01, co_contraction=level)

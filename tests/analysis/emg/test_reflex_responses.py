@@ -112,6 +112,7 @@ def test_no_reflex_is_found_where_there_is_none(recording):
     assert (nothing.responses["coherence"] < 0.05).all()
 
 
+@pytest.mark.slow(reason="many draws of noise")
 def test_noise_is_said_to_respond_as_often_as_the_level_of_the_test():
     """Also at the best of all delays, while weak responses are found."""
     n_noise, n_weak = 400, 5

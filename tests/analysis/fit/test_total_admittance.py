@@ -16,6 +16,7 @@ EVEN = np.arange(20_000) / 1000.0
 UNEVEN = np.sort(np.random.default_rng(0).uniform(0.1, 20.0, 3000))
 
 
+@pytest.mark.slow(reason="computes a quarter of a million frequencies")
 @pytest.mark.parametrize("arm", [RELAX, POSITION], ids=lambda arm: arm.task)
 @pytest.mark.parametrize(
     ("frequency", "in_runs", "asked", "tolerance"),

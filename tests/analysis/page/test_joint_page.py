@@ -93,6 +93,7 @@ def test_a_movement_of_one_frequency_determines_no_parameters():
     assert "3 free parameters" in said.text
 
 
+@pytest.mark.slow(reason="identifies a joint")
 def test_frequencies_of_several_trials_count_together(result):
     steps = identify_joint(trials((2.03,), (5.03,), (9.03,), (14.03,)), reflex="none")
     assert joint_verdict(steps).level == "trust"
