@@ -181,7 +181,7 @@ class Multisine:
         return force
 
 
-@functools.lru_cache(maxsize=128)
+@functools.lru_cache(maxsize=64)
 def _with_low_peaks(reduced: str, starts: bytes) -> np.ndarray:
     """What `reduce_crest` makes of phases (axis, start, line); remembered, as people of a study share realisations."""
     phases = np.frombuffer(starts).reshape(2, N_STARTS, CLUSTERS.size)
