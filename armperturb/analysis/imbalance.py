@@ -125,21 +125,31 @@ class _Fit(NamedTuple):
     objective: float
 
 
-def _row(place: int, mixed: Array | None = None) -> Array:
-    """x and y of one of the five signals, mixed if asked, (axis, 10)."""
+def signal_row(place: int, mixed: Array | None = None) -> Array:
+    """x and y of d, f, acceleration, velocity or displacement, 0 to 4, mixed if asked, (axis, 10)."""
     weights = np.zeros((2, 10))
     weights[:, 2 * place : 2 * place + 2] = np.eye(2) if mixed is None else mixed
     return weights
 
 
-_LOAD = [-_row(place) for place in (2, 3, 4)]
-_BALANCE = _row(0) - _row(1)
+def inner_products(products: Array, terms: Array) -> Array:
+    """Of what terms (..., term, axis, 10) make of signals, by products of these (..., 10, 10), (..., term, term)."""
+    made = terms @ products[..., None, :, :]
+    rows = made.reshape(*made.shape[:-2], -1)
+    return np.asarray(rows @ terms.reshape(*terms.shape[:-2], -1).swapaxes(-1, -2))
+
+
+_LOAD = [-signal_row(place) for place in (2, 3, 4)]
+_BALANCE = signal_row(0) - signal_row(1)
 _DIFFERENT, _COUPLED = np.diag([1.0, -1.0]), np.array([[0.0, 1.0], [1.0, 0.0]])
 _LINEAR: dict[Kind, tuple[Array, list[Array]]] = {
-    "gain": (_row(0), [*_LOAD, -_row(1)]),
-    "gains": (_row(0), [*_LOAD, -_row(1), -_row(1, _DIFFERENT)]),
-    "rotation": (_row(0), [*_LOAD, -_row(1), -_row(1, np.array([[0.0, -1.0], [1.0, 0.0]]))]),
-    "load": (_BALANCE, [*_LOAD, *(-_row(place, mixed) for mixed in (_DIFFERENT, _COUPLED) for place in (2, 3, 4))]),
+    "gain": (signal_row(0), [*_LOAD, -signal_row(1)]),
+    "gains": (signal_row(0), [*_LOAD, -signal_row(1), -signal_row(1, _DIFFERENT)]),
+    "rotation": (signal_row(0), [*_LOAD, -signal_row(1), -signal_row(1, np.array([[0.0, -1.0], [1.0, 0.0]]))]),
+    "load": (
+        _BALANCE,
+        [*_LOAD, *(-signal_row(place, mixed) for mixed in (_DIFFERENT, _COUPLED) for place in (2, 3, 4))],
+    ),
 }
 """What is left of the balance without free parameters, and with each of them, (axis, 10) each."""
 
@@ -262,9 +272,7 @@ def _least_squares(summed: Array, base: Array, terms: list[Array]) -> tuple[Arra
 
     Products are summed over bands, (..., 10, 10).
     """
-    rows = np.stack([base, *terms])
-    n = len(rows)
-    inner = (rows @ summed[..., None, :, :]).reshape(*summed.shape[:-2], n, -1) @ rows.reshape(n, -1).T
+    inner = inner_products(summed, np.stack([base, *terms]))
     scale = np.sqrt(np.diagonal(inner, axis1=-2, axis2=-1))
     if not (scale > 0.0).all():
         raise np.linalg.LinAlgError("a signal is zero")
@@ -396,7 +404,10 @@ def _manipulator(spectra: Spectra, fit: _Fit) -> str:
     """Which of mass, damping and stiffness differ between the axes or couple them, in words."""
     mean, different, coupled = fit.values.reshape(3, 3)
     of_each = [
-        (_power(spectra, _row(2 + k, different[k] * _DIFFERENT)), _power(spectra, _row(2 + k, coupled[k] * _COUPLED)))
+        (
+            _power(spectra, signal_row(2 + k, different[k] * _DIFFERENT)),
+            _power(spectra, signal_row(2 + k, coupled[k] * _COUPLED)),
+        )
         for k in range(3)
     ]
     sums = np.array([[spectra.counts @ power for power in powers] for powers in of_each])
@@ -412,7 +423,7 @@ def _manipulator(spectra: Spectra, fit: _Fit) -> str:
 
 def _relative(spectra: Spectra, power: Array) -> float:
     """RMS of what makes a force, relative to that of the force."""
-    force = _power(spectra, _row(1))
+    force = _power(spectra, signal_row(1))
     return math.sqrt(float(spectra.counts @ power) / float(spectra.counts @ force))
 
 
@@ -431,5 +442,5 @@ def _following(spectra: Spectra, fit: _Fit) -> float:
     by_chance = 2.0 * left / np.maximum(averages - 2.0, 1.0)
     if not counts @ follows > FOLLOWS * (counts @ by_chance):
         return 0.0
-    force = float(spectra.counts @ _power(spectra, _row(1)))
+    force = float(spectra.counts @ _power(spectra, signal_row(1)))
     return math.sqrt(max(float(counts @ (follows - by_chance)), 0.0) / force)

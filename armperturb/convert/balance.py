@@ -17,7 +17,7 @@ import xarray as xr
 from scipy import fft, signal
 
 from armperturb.analysis.force_balance import EDGE, Balance
-from armperturb.analysis.imbalance import Imbalance
+from armperturb.analysis.imbalance import Imbalance, inner_products, signal_row
 from armperturb.arrays import Array
 from armperturb.recording import REQUIRED_SIGNALS
 
@@ -117,7 +117,7 @@ def check_balance(
     if declared.left > UNBALANCED and not notes:  # which a skew would explain
         notes.append(f"{_in_numbers(declared)}; expected less than {UNBALANCED:g} of it")
     # Rows 0 and 1 of the products are d, 2 and 3 are f.
-    pushed, load = (float(np.trace(sides @ gram @ sides.T)) for sides in (_row(0), _row(0) - _row(1)))
+    pushed, load = (float(np.trace(sides @ gram @ sides.T)) for sides in (signal_row(0), signal_row(0) - signal_row(1)))
     if pushed < SEEN * load:
         notes.append("the perturbation is too weak beside other forces: its sign, axes and unit are unchecked")
     return notes
@@ -233,21 +233,16 @@ def _grams(d: Array, f: Array, x: Array, rate: float) -> Array:
     return np.asarray((stacked @ stacked.conj().swapaxes(1, 2)).real)
 
 
-def _row(place: int, of_signal: Array | None = None) -> Array:
-    """x and y of one of d, f, acceleration, velocity and displacement, on other axes if given, (2, 10)."""
-    sides = np.zeros((2, 10))
-    sides[:, 2 * place : 2 * place + 2] = np.eye(2) if of_signal is None else of_signal
-    return sides
-
-
 def _explained(gram: Array, of_force: Array, of_displacement: Array) -> _Explained:
     """Share of the load that mass, damping and stiffness leave, with other axes of force and displacement."""
-    return _by_load(_inner(gram, _load_terms(of_force, of_displacement)))
+    return _by_load(inner_products(gram, _load_terms(of_force, of_displacement)))
 
 
 def _load_terms(of_force: Array, of_displacement: Array) -> Array:
     """The load, and what it may move, with other axes of force and displacement, (term, 2, 10)."""
-    return np.stack([_row(0) - _row(1, of_force), *(_row(place, of_displacement) for place in (2, 3, 4))])
+    return np.stack(
+        [signal_row(0) - signal_row(1, of_force), *(signal_row(place, of_displacement) for place in (2, 3, 4))]
+    )
 
 
 def _by_load(inner: Array) -> _Explained:
@@ -258,7 +253,7 @@ def _by_load(inner: Array) -> _Explained:
 def _remedy(gram: Array, least: float) -> str | None:
     """The smallest change of signs, axes or scale of the force that leaves at most so much, in words; None if none."""
     changed, terms = _turned()
-    tried = [(change, _by_load(inner)) for change, inner in zip(changed, _inner(gram, terms), strict=True)]
+    tried = [(change, _by_load(inner)) for change, inner in zip(changed, inner_products(gram, terms), strict=True)]
     gain, explained = _rescaled(gram)
     if gain > 0.0 and abs(np.log(gain)) > np.log(RESCALED) and explained.left < UNBALANCED:
         tried.append((f"force were multiplied by {gain:.4g} (the unit of one of the two forces)", explained))
@@ -297,17 +292,11 @@ def _change(name: str, matrix: Array) -> str | None:
 
 def _rescaled(gram: Array) -> tuple[float, _Explained]:
     """Factor on the force that explains the perturbation best, and how well it does."""
-    inner = _inner(gram, np.stack([_row(place) for place in (0, 2, 3, 4, 1)]))
+    inner = inner_products(gram, np.stack([signal_row(place) for place in (0, 2, 3, 4, 1)]))
     weights, left = _regression(inner)
     gain = float(weights[-1])
     load = inner[0, 0] - 2.0 * gain * inner[0, 4] + gain**2 * inner[4, 4]
     return gain, _Explained(left * float(inner[0, 0] / load) if load > 0.0 else 1.0, float(weights[0]))
-
-
-def _inner(gram: Array, terms: Array) -> Array:
-    """Inner products of terms (..., term, 2, 10), (..., term, term)."""
-    rows = (*terms.shape[:-2], -1)
-    return np.asarray((terms @ gram).reshape(rows) @ terms.reshape(rows).swapaxes(-1, -2))
 
 
 def _regression(inner: Array) -> tuple[Array, float]:

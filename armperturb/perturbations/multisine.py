@@ -1,6 +1,5 @@
 """The continuous perturbation: a crested multisine of reduced power (thesis 2.4, fig. 2.5)."""
 
-import functools
 import math
 from dataclasses import dataclass, replace
 from typing import Self
@@ -113,7 +112,10 @@ class Multisine:
         """
         starts = np.random.default_rng(seed).uniform(-np.pi, np.pi, (2, N_STARTS, CLUSTERS.size))
         multisine = cls(rms=rms, phases=starts[:, 0], reduced=reduced, duration=duration)
-        return replace(multisine, phases=_with_low_peaks(reduced, starts.tobytes())) if crested else multisine
+        if not crested:
+            return multisine
+        amplitudes = replace(multisine, rms=1.0).amplitudes  # so that rounding lets no phase depend on rms
+        return replace(multisine, phases=reduce_crest(multisine.lines, amplitudes, starts))
 
     @property
     def clusters(self) -> np.ndarray:
@@ -179,12 +181,3 @@ class Multisine:
             force[chunk] = np.einsum("tl,al->ta", np.cos(angles), phasors.real)
             force[chunk] -= np.einsum("tl,al->ta", np.sin(angles), phasors.imag)
         return force
-
-
-@functools.lru_cache(maxsize=64)
-def _with_low_peaks(reduced: str, starts: bytes) -> np.ndarray:
-    """What `reduce_crest` makes of phases (axis, start, line); remembered, as people of a study share realisations."""
-    phases = np.frombuffer(starts).reshape(2, N_STARTS, CLUSTERS.size)
-    # Of 1 N, so that rounding lets no phase depend on the force.
-    of_unit = Multisine(rms=1.0, phases=phases[:, 0], reduced=reduced)
-    return reduce_crest(of_unit.lines, of_unit.amplitudes, phases)
