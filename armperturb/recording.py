@@ -162,8 +162,11 @@ def make_recording(
       **attributes: further attributes of the dataset.
 
     Raises:
+      TypeError: signals or trials are no mapping.
       ValueError: as `check_recording`.
     """
+    for what, given in (("signals", signals), ("trials", trials)):
+        require_type(f"recording: {what}", given, Mapping, "names with their values, as a dictionary")
     variables = {}
     for name, values in signals.items():
         dims, _, description = SIGNALS[name]

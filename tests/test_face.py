@@ -1,5 +1,6 @@
 """The public names: complete, quick to import, and clear about what an optional part needs."""
 
+import inspect
 import subprocess
 import sys
 
@@ -39,6 +40,19 @@ def test_the_names_are_complete():
         assert getattr(armperturb, name) is not None
     with pytest.raises(AttributeError):
         armperturb.estimate  # noqa: B018
+
+
+def test_what_is_missing_is_refused_in_one_line_that_says_what_was_expected():
+    for name in sorted(set(dir(armperturb)) - {"ConditionTrials"}):  # which `ConditionTrials.prepare` makes
+        value = getattr(armperturb, name)
+        if not callable(value):
+            continue
+        wanted = [each for each in inspect.signature(value).parameters.values() if each.default is each.empty]
+        positional = [None for each in wanted if each.kind is each.POSITIONAL_OR_KEYWORD]
+        by_name = {each.name: None for each in wanted if each.kind is each.KEYWORD_ONLY}
+        if positional or by_name:
+            with pytest.raises((TypeError, ValueError), match=r"^[^\n]*expected [^\n]*$"):
+                value(*positional, **by_name)
 
 
 def test_importing_is_quick_and_loads_no_heavy_library():

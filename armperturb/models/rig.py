@@ -10,7 +10,7 @@ import numpy as np
 from armperturb.arrays import Array
 from armperturb.environment import TIMESTEP, Environment, Strap
 from armperturb.subject import Subject
-from armperturb.validation import require_number, require_one_of, require_whole
+from armperturb.validation import require_number, require_one_of, require_type, require_whole
 
 ARM_XML, MANIPULATOR_XML, RIG_XML = (Path(__file__).parent / f"{name}.xml" for name in ("arm", "manipulator", "rig"))
 """The MJCF files; each loads on its own, `rig.xml` includes the other two."""
@@ -119,8 +119,9 @@ def build_model(
     Raises:
       ValueError: a delay is shorter than three steps, rope is unknown, timestep or n_history is out of range, or the
         subject has what `Subject.require_simulable` refuses.
-      TypeError: timestep or n_history is no number, or strap no `Strap`.
+      TypeError: subject is no `Subject`, timestep or n_history no number, or strap no `Strap`.
     """
+    require_type("build_model: subject", subject, Subject, "a Subject, e.g. POSITION")
     return build_spec(
         subject, environment, timestep=timestep, rope=rope, strap=strap, n_history=n_history, visual=visual
     ).compile()

@@ -8,7 +8,7 @@ import numpy as np
 from armperturb.perturbations.multisine import Multisine
 from armperturb.perturbations.perturbation import sample_times
 from armperturb.perturbations.pulse import Pulse
-from armperturb.validation import require_number
+from armperturb.validation import require_number, require_type
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +24,7 @@ class MultisineThenPulse:
       fade: time from the pulse's onset until the multisine is gone [s], > 0, inside the trial.
 
     Raises:
-      TypeError: fade is not a number.
+      TypeError: a part is none, or fade is not a number.
       ValueError: fade is out of its range.
     """
 
@@ -33,6 +33,8 @@ class MultisineThenPulse:
     fade: float = 0.04
 
     def __post_init__(self) -> None:
+        require_type("MultisineThenPulse: multisine", self.multisine, Multisine, "a Multisine")
+        require_type("MultisineThenPulse: pulse", self.pulse, Pulse, "a Pulse")
         longest = self.pulse.duration - self.pulse.onset
         require_number("MultisineThenPulse", "fade", self.fade, above=0.0, at_most=longest)
 

@@ -11,7 +11,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 
 from armperturb.files import require_input, written_whole
 from armperturb.perturbations.perturbation import Perturbation, sample_times
-from armperturb.validation import require_number
+from armperturb.validation import require_number, require_type
 
 COLUMNS = ("time_s", "d_x_N", "d_y_N")
 """Columns of a perturbation file: time from the start [s], force to the right and forward [N]."""
@@ -106,9 +106,11 @@ def save_perturbation(perturbation: Perturbation, path: str | Path, rate: float)
       rate: samples per second [Hz], > 0.
 
     Raises:
+      TypeError: perturbation is none.
       ValueError: rate is not positive or gives fewer than 2 samples.
       OSError: the file cannot be written.
     """
+    require_type("save_perturbation", perturbation, Perturbation, "a perturbation, e.g. Multisine or Pulse")
     require_number("save_perturbation", "rate", rate, above=0.0)
     n_samples = math.ceil(perturbation.duration * rate * (1.0 - 1e-12))
     if n_samples < 2:

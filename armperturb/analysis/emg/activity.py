@@ -14,6 +14,7 @@ from armperturb.analysis.emg.cocontraction import cocontraction
 from armperturb.analysis.emg.envelope import Envelopes, mean_known
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.arrays import Array
+from armperturb.validation import require_type
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -125,7 +126,11 @@ def activity(envelopes: Envelopes, limit: float | None = None) -> Activity:
       envelopes: of a person.
       limit: amplitude up to which a muscle counts as relaxed, over the reference's [-]; None for `RELAXED`, or
         `RELAXED_OF_LOUDEST` without a maximal contraction.
+
+    Raises:
+      TypeError: envelopes are none.
     """
+    require_type("activity: envelopes", envelopes, Envelopes, "those of armperturb.envelopes")
     if limit is None:
         limit = RELAXED if envelopes.is_normalised else RELAXED_OF_LOUDEST
     rate, labels, names = envelopes.rate, envelopes.labels, list(envelopes.muscles)

@@ -31,6 +31,7 @@ from armperturb.analysis.emg.reflex import rotation, rows_of
 from armperturb.analysis.results import Description, Result, Table
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array, Indices
+from armperturb.validation import as_list, require_type
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -128,9 +129,12 @@ def onsets(trials: Sequence[ConditionTrials], envelopes: Envelopes) -> Onsets:
       envelopes: of all the person's trials.
 
     Raises:
+      TypeError: trials or envelopes are none.
       ValueError: no trial has a pulse at `EARLIEST` or later, the envelopes hold other trials of a condition, or
         neither joint angles nor the posture are known.
     """
+    require_type("onsets: envelopes", envelopes, Envelopes, "those of armperturb.envelopes")
+    trials = as_list("onsets: trials", trials, ConditionTrials, "trials of conditions, e.g. of ConditionTrials.prepare")
     rate, names = envelopes.rate, list(envelopes.muscles)
     power, moved, starts, directions = [], [], [], []
     latest = -math.inf

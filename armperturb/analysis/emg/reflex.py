@@ -29,6 +29,7 @@ from armperturb.analysis.emg.envelope import Envelopes, mean_known
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array, ComplexArray, Indices
+from armperturb.validation import require_type
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -159,9 +160,12 @@ def reflexes(trials: ConditionTrials, envelopes: Envelopes, *, window_start: flo
       window_start: when the transient of the perturbation has died away [s].
 
     Raises:
+      TypeError: trials or envelopes are none.
       ValueError: no trial is long enough, or together they are too short; a joint does not turn; the envelopes hold
         other trials of the condition; or neither joint angles nor the posture are known.
     """
+    require_type("reflexes: trials", trials, ConditionTrials, "trials of one condition, of ConditionTrials.prepare")
+    require_type("reflexes: envelopes", envelopes, Envelopes, "those of armperturb.envelopes")
     rows = rows_of(trials, envelopes)
     angles, rate, names = rotation(trials), envelopes.rate, list(envelopes.muscles)
     first = round(window_start * rate)

@@ -30,7 +30,7 @@ from armperturb.analysis.fit.structures import STRUCTURES, Structure, structure_
 from armperturb.anthropometry import Sex, Source, anthropometric_body
 from armperturb.files import read_toml, write_whole
 from armperturb.subject import HUMERUS_MASS_SHARE, TASKS, Subject
-from armperturb.validation import require_keys, require_one_of
+from armperturb.validation import require_keys, require_one_of, require_type
 
 Range = tuple[float, float | None, float] | None
 """Lower bound, initial value (None to choose one) and upper bound; or None for those of `wide_bounds`."""
@@ -252,7 +252,13 @@ def load_structure(path: str | Path) -> Structure:
 
 
 def save_structure(structure: Structure, path: str | Path) -> None:
-    """Write a structure to a TOML file that `load_structure` reads back exactly; it needs no base."""
+    """Write a structure to a TOML file that `load_structure` reads back exactly; it needs no base.
+
+    Raises:
+      TypeError: structure is no `Structure`.
+      OSError: the file cannot be written.
+    """
+    require_type("structure", structure, Structure, "a Structure, e.g. of load_structure or STRUCTURES")
     table = {
         "name": structure.name,
         "free": {name: [lower, structure.initial[name], upper] for name, (lower, upper) in structure.bounds.items()},

@@ -10,6 +10,7 @@ from armperturb.analysis.emg.outputs import reflex_outputs
 from armperturb.analysis.fit.emg_likelihood import FEEDBACK, ElectromechanicalDelay, EmgLikelihood
 from armperturb.analysis.fit.group import Group
 from armperturb.analysis.trials import ConditionTrials
+from armperturb.validation import require_type
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -19,10 +20,17 @@ class UseOfEmg:
     Attributes:
       envelopes: of the person, with all trials that are fitted.
       delay: what is known of the electromechanical delay.
+
+    Raises:
+      TypeError: one is something else.
     """
 
     envelopes: Envelopes
     delay: ElectromechanicalDelay = field(default_factory=ElectromechanicalDelay)
+
+    def __post_init__(self) -> None:
+        require_type("UseOfEmg: envelopes", self.envelopes, Envelopes, "those of armperturb.envelopes")
+        require_type("UseOfEmg: delay", self.delay, ElectromechanicalDelay, "an ElectromechanicalDelay")
 
     def added_to(self, group: Group, recorded: ConditionTrials) -> Group:
         """A group with its EMG; the same group where its structure has no reflexes, of which EMG tells nothing.

@@ -187,7 +187,7 @@ def compare_laws(
       laws: to compare, from the simplest to the largest; the half-wave law is that of the position task only.
       mechanisms: whether the mechanisms of the full law are judged singly, if it or the half-wave law is chosen.
       n_pairs: pairs of draws of the noise in fits to all trials, see `fit`.
-      n_pairs_of_folds: pairs of draws in the folds' fits.
+      n_pairs_of_folds: pairs of draws in the folds' fits and in predictions of what they leave out; 0 leaves noise out.
       checkpoint: folder for the checkpoints of all fits; a comparison that was stopped there goes on.
       progress: called with a line after each step.
       **options: further ones of `fit`.
@@ -314,7 +314,7 @@ def left_out_likelihood(
       estimate: person, noise and spread of trials.
       sets: for each set of the estimate, other trials of its condition; there may be none.
       arms: condition to a linear arm.
-      n_pairs: draws of the noise in whose presence trials are predicted.
+      n_pairs: draws of the noise in whose presence trials are predicted; 0 leaves noise out.
       seed: of the draws.
       threads: how many simulate at a time; no effect on the result.
     """
@@ -326,7 +326,8 @@ def left_out_likelihood(
     state = State(np.empty(0), np.zeros(len(problem.kind_of)), spread)
     roots = tuple(noise.root for noise in problem.noises)
     strengths = tuple(estimate.strengths[place] for place in used)
-    predict_with_stable_noise(problem, state, NoiseDraws(roots, strengths, n_pairs, seed))
+    if n_pairs:
+        predict_with_stable_noise(problem, state, NoiseDraws(roots, strengths, n_pairs, seed))
     predicted = problem.predict([state])[0]
     for _ in range(MAX_STEPS):
         normal = problem.normal(state, predicted)

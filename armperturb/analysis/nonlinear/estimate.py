@@ -33,6 +33,7 @@ from armperturb.analysis.nonlinear.start import best_start, start_values
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
 from armperturb.subject import Subject
+from armperturb.validation import require_whole
 
 N_PAIRS = 6
 """Pairs of draws of the noise: with half as many, the shear-thinning damping of relaxed people is a third off."""
@@ -67,7 +68,7 @@ def fit(
       model: the structure; by default the full law.
       initial: parameter to the value that it starts with, instead of that from the linear arms.
       n_pairs: draws of the noise, pairs of opposite sign, in whose presence trials are predicted; 0 leaves noise out.
-      n_pairs_of_errors: draws from which the errors are estimated.
+      n_pairs_of_errors: draws from which the errors are estimated, at least 2.
       max_steps: most steps of each of the first three stages of the search.
       seed: of the draws.
       checkpoint: file in which the search is saved after each step; a search that was stopped there goes on.
@@ -76,11 +77,15 @@ def fit(
       emg: condition to the EMG of all its trials, where it tells of reflexes; not of half-wave rectified spindles.
 
     Raises:
-      ValueError: trials are of several people or rates, there are none, `initial` or `model` names what is not free,
-        the arm at the start is unstable, or it runs away under the person's noise where the search has come to.
+      TypeError: a number of draws is no whole number.
+      ValueError: a number of draws is too small, trials are of several people or rates, there are none, `initial` or
+        `model` names what is not free, the arm at the start is unstable, or it runs away under the person's noise where
+        the search has come to.
       OSError: the checkpoint cannot be written.
       ModuleNotFoundError: numba is not installed.
     """
+    require_whole("fit", "n_pairs", n_pairs, at_least=0)
+    require_whole("fit", "n_pairs_of_errors", n_pairs_of_errors, at_least=2)
     model = model or Model()
     parameters = free_parameters(sets, model)
     everywhere = nearest_arms(sets, arms)

@@ -20,7 +20,7 @@ from armperturb.envs.lab.simulation import silent_simulator
 from armperturb.joint_person import JointPerson, Servo
 from armperturb.models.joint_rig import JOINT_TIMESTEP, build_joint_model
 from armperturb.recording import make_recording
-from armperturb.validation import require_number
+from armperturb.validation import as_list, require_number, require_type
 
 LARGEST_ANGLE = 3.0
 """Angle from the posture beyond which a simulation counts as diverged [rad]."""
@@ -49,6 +49,7 @@ class JointTrial:
       repetition: of the condition.
 
     Raises:
+      TypeError: person is no `JointPerson`, or a number is none.
       ValueError: a series is of the wrong length or not finite, or a number is out of its range.
     """
 
@@ -65,6 +66,7 @@ class JointTrial:
     repetition: int = 0
 
     def __post_init__(self) -> None:
+        require_type("JointTrial: person", self.person, JointPerson, "a JointPerson")
         require_number("JointTrial", "noise", self.noise, at_least=0.0)
         require_number("JointTrial", "noise_cutoff", self.noise_cutoff, above=0.0)
         length = np.size(self.perturbation)
@@ -105,11 +107,14 @@ def run_joint_experiment(
       [Nm] of a force servo, and `scheduling` [rad] where a trial has a `neutral` angle.
 
     Raises:
+      TypeError: a trial or the servo is none.
       ValueError: no trials, trials of several joints or lengths, a delay below two steps, or rates that do not fit.
       RuntimeError: a joint diverged, as with too much feedback.
     """
-    if not trials:
-        raise ValueError("trials is empty; expected at least one trial")
+    trials = as_list("run_joint_experiment: trials", trials, JointTrial, "a JointTrial, or several")
+    for trial in trials:
+        require_type("run_joint_experiment: a trial", trial, JointTrial, "a JointTrial")
+    require_type("run_joint_experiment: servo", servo, Servo, "a Servo")
     kinds = {(trial.person.joint, np.size(trial.perturbation)) for trial in trials}
     if len(kinds) > 1:
         several = " and ".join(f"{joint}, {length} samples" for joint, length in sorted(kinds))

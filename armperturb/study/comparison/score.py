@@ -32,6 +32,7 @@ from armperturb.study.results.study_result import StudyResult
 from armperturb.study.results.trial_measures import PersonMeasures, diverged
 from armperturb.study.results.uses import use_of
 from armperturb.subject import TASKS
+from armperturb.validation import require_type
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -186,7 +187,12 @@ def ceiling_lines(people: int) -> tuple[str, ...]:
 
 
 def score(study: StudyResult) -> Score:
-    """Compare an analysed study with the published tables."""
+    """Compare an analysed study with the published tables.
+
+    Raises:
+      TypeError: study is no analysed one.
+    """
+    require_type("score: study", study, StudyResult, "an analysed study (analyse_study of its folder)")
     return Score(
         people=len(study.people),
         cells=(*_measured_cells(study.people), *fitted_cells(study.appendices, study.people)),

@@ -20,6 +20,7 @@ from armperturb.study.protocol import Protocol
 from armperturb.study.recording.record import draw_multisines, practised_trials, worker_count
 from armperturb.study.recording.settings import StudySettings
 from armperturb.study.results.quantities import Cell, measured_cells, published_cells
+from armperturb.validation import require_type
 from armperturb.workers import completed, require_workers, workers_for
 
 BATCH = 8
@@ -66,6 +67,7 @@ def measure_cohort(
       RuntimeError: a displacement was not reached in practice, workers die again and again, or Dask is not installed.
       OSError: the protocol's file cannot be read, or no Dask scheduler answers.
     """
+    require_type("cohort: settings", settings, StudySettings, "StudySettings")
     require_workers("cohort", workers)
     protocol, n_people = settings.load_protocol(), settings.subjects
     measured: dict[int, tuple[str, Array]] = {}

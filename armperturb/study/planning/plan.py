@@ -32,6 +32,7 @@ from armperturb.seeds import trial_seed
 from armperturb.study.planning.information import Experiment, Limits, Noise, optimise
 from armperturb.study.planning.settings import DesignSettings, NoiseLaw, noise_levels
 from armperturb.subject import Subject
+from armperturb.validation import require_type
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -205,8 +206,10 @@ def design(settings: DesignSettings) -> Design:
     """Plan.
 
     Raises:
+      TypeError: settings are no `DesignSettings`.
       ValueError: no multisine tells about some of the model's parameters; the message names them.
     """
+    require_type("design: settings", settings, DesignSettings, "DesignSettings")
     force, displacement, duration = settings.force, settings.displacement, settings.duration
     structure, starts = settings.structure(), cluster_starts(settings.period)
     n_period = round(settings.period * DESIGN_RATE)

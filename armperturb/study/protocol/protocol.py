@@ -5,6 +5,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
+from types import NoneType
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -18,7 +19,7 @@ from armperturb.foreign import LARGEST
 from armperturb.perturbations import Multisine, MultisineThenPulse, Perturbation, Pulse, Rest, draw_onset
 from armperturb.seeds import random_stream, trial_seed
 from armperturb.study.protocol.condition import PULSE_UNIT, Condition, PlannedTrial, numbers, require_different
-from armperturb.validation import require_keys, require_one_of, require_ranges
+from armperturb.validation import as_list, require_keys, require_one_of, require_ranges, require_type
 
 Made = TypeVar("Made")
 
@@ -70,13 +71,15 @@ class Protocol:
 
     def __post_init__(self) -> None:
         owner = "protocol"
-        object.__setattr__(self, "conditions", tuple(self.conditions))
-        if not self.conditions:
+        conditions = as_list(f"{owner}: conditions", self.conditions, Condition, "Conditions", or_none=True)
+        if not conditions:
             raise ValueError(f"{owner}: conditions = []; expected at least one")
+        for condition in conditions:
+            require_type(f"{owner}: a condition", condition, Condition, "a Condition")
+        object.__setattr__(self, "conditions", tuple(conditions))
         require_different(owner, "conditions", [condition.name for condition in self.conditions])
         require_one_of(owner, "forces", self.forces, FORCES)
-        if self.strap is not None and not isinstance(self.strap, Strap):
-            raise TypeError(f"{owner}: strap = {self.strap!r}; expected Strap or None")
+        require_type(f"{owner}: strap", self.strap, (Strap, NoneType), "Strap or None")
         require_ranges(owner, self)
         self._check_pulses(owner)
         self._check_size(owner)

@@ -33,7 +33,7 @@ from armperturb.study.recording.folder import StudyFolder, cannot_write, open_st
 from armperturb.study.recording.manifest import Manifest
 from armperturb.study.recording.practice import practise
 from armperturb.study.recording.settings import BLOCK, StudySettings
-from armperturb.validation import require_number
+from armperturb.validation import require_number, require_type
 from armperturb.workers import LOG, Workers, completed, cpu_count, require_workers, signals_held_back, workers_for
 
 PROGRESS_INTERVAL = 0.2
@@ -70,7 +70,7 @@ class _Finished(NamedTuple):
 
 def record_study(
     settings: StudySettings,
-    out: Path,
+    out: str | Path,
     *,
     workers: int | None = 1,
     dask: str | None = None,
@@ -101,12 +101,13 @@ def record_study(
       RuntimeError: another run is at work in the folder, workers die again and again, or Dask is not installed.
       OSError: a file cannot be read or written, or no Dask scheduler answers.
     """
+    require_type("study: settings", settings, StudySettings, "StudySettings")
     require_number("study", "block", block, at_least=1)
     require_workers("study", workers)
     protocol = settings.load_protocol()
     people = settings.draw_people(Environment())
     names = [person.name for person in people]
-    with open_study(out, Manifest.of(people, protocol, settings).to_dict()) as folder:
+    with open_study(Path(out), Manifest.of(people, protocol, settings).to_dict()) as folder:
         done, damaged = folder.check(names)
         for path in damaged:
             LOG.warning("%s does not match its checksum: set aside, and its subject is done again", path)

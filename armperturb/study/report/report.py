@@ -31,6 +31,7 @@ from armperturb.study.report.words import WORDS
 from armperturb.study.results.cache import CachedResult, Unit, kept_or_computed
 from armperturb.study.results.mean_admittance import by_task, main_conditions
 from armperturb.study.results.study_result import StudyResult
+from armperturb.validation import require_type
 from armperturb.workers import LocalProcesses, require_workers, workers_for
 
 MOST_WORKERS = 8
@@ -39,7 +40,7 @@ MOST_WORKERS = 8
 
 def write_report(
     study: StudyResult,
-    out: Path,
+    out: str | Path,
     *,
     figures: Collection[str] | None = None,
     simulate: bool = True,
@@ -63,12 +64,14 @@ def write_report(
       The path of the report.
 
     Raises:
-      TypeError: workers is no whole number.
+      TypeError: study is no analysed one, or workers no whole number.
       ValueError: workers is out of its range.
       OSError: the folder cannot be written to, or a recording is gone.
       RuntimeError: workers die again and again.
     """
+    require_type("report: study", study, StudyResult, "an analysed study (analyse_study of its folder)")
     require_workers("report", workers)
+    out = Path(out)
     require_own_results(out)
     checksums = {path.name: checksum(path) for path in study.recordings.values()}
     with workers_for(worker_count(workers, MOST_WORKERS), None, [__name__]) as pool:

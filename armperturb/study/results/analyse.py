@@ -40,7 +40,7 @@ Result = TypeVar("Result")
 
 def run_study(
     settings: StudySettings,
-    out: Path,
+    out: str | Path,
     *,
     workers: int | None = 1,
     dask: str | None = None,

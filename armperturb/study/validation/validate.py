@@ -32,6 +32,7 @@ from armperturb.progress import Progress
 from armperturb.seeds import trial_seed
 from armperturb.study.validation.settings import ValidateSettings
 from armperturb.subject import Subject
+from armperturb.validation import require_type
 from armperturb.workers import completed, cpu_count, require_workers, workers_for
 
 if TYPE_CHECKING:
@@ -186,10 +187,11 @@ def validate(settings: ValidateSettings, *, workers: int | None = None, show_pro
       show_progress: whether to draw a progress bar where there is a terminal.
 
     Raises:
-      TypeError: workers is not a number.
+      TypeError: settings are no `ValidateSettings`, or workers is not a number.
       ValueError: subject, structure or workers are refused, or the arm is unstable.
       OSError: the subject's file cannot be read.
     """
+    require_type("validate: settings", settings, ValidateSettings, "ValidateSettings")
     settings.structure()
     require_workers("validate", workers)
     if workers is None:
