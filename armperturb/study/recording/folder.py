@@ -236,6 +236,8 @@ def _locked(root: Path) -> AcquireReturnProxy:
             root.mkdir(parents=True, exist_ok=True)
             return FileLock(root / LOCK, timeout=0).acquire()
     except Timeout:
+        if not (root / LOCK).exists():  # filelock takes what it cannot make for a file that was there just now
+            raise cannot_write(root / LOCK, FileNotFoundError("no file can be made there")) from None
         holder = root / STAGING / HOLDER
         process = _text_of(holder, LARGEST_HOLDER) if holder.is_file() else "unknown"
         raise RuntimeError(

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -277,4 +278,10 @@ def test_a_read_only_folder_is_told(tmp_path, monkeypatch, name):
         pytest.raises(OSError, match=r"s: cannot be written \(Read-only file system\)"),
         open_study(tmp_path / "s", MANIFEST),
     ):
+        pass
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="no folder of this kind")
+def test_a_folder_that_takes_no_files_is_told():
+    with pytest.raises(OSError, match=r"^/proc/.lock: cannot be written"), open_study(Path("/proc"), MANIFEST):
         pass
