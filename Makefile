@@ -56,13 +56,15 @@ clean:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "armperturb needs Python 3.11 or newer, this is " + sys.version)'
 	$(PYTHON) -m venv $*
 
-# One stamp per set of packages, so that a second call installs nothing.
+# One stamp per set of packages, so that a second call installs nothing. Machine code is compiled once, here.
 .venv/installed: .venv/bin/python pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[sim]'
+	$(BIN)/python -m armperturb.study.results.compiling
 	touch $@
 
 .venv/installed-test: .venv/bin/python pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[test,dm]'
+	$(BIN)/python -m armperturb.study.results.compiling
 	touch $@ .venv/installed
 
 .venv/installed-check: .venv/bin/python pyproject.toml constraints.txt

@@ -1,4 +1,9 @@
-"""Compiles what the processes of a study need: each part in one of them, where otherwise each would compile it all."""
+"""Compiles what the processes of a study need: each part in one of them, where otherwise each would compile it all.
+
+`python -m armperturb.study.results.compiling` does so before the first study, as `make` does when it installs.
+"""
+
+from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 
@@ -30,3 +35,14 @@ def compile_fits() -> None:
     frequency = np.array(FREQUENCIES)
     admittance = arm_admittance(POSITION, frequency)
     fit_admittance(frequency, admittance, POSITION, "1", Environment(), as_published=True)
+
+
+def main() -> None:
+    """Compile both parts side by side, for studies that MuJoCo simulates."""
+    with ProcessPoolExecutor(2) as pool:
+        for done in (pool.submit(compile_recording, "mujoco"), pool.submit(compile_fits)):
+            done.result()
+
+
+if __name__ == "__main__":
+    main()
