@@ -8,41 +8,18 @@ import pytest
 from armperturb.recording_files import load_recording
 from armperturb.study.experiments.cohort_cells import measure_cohort
 from armperturb.study.recording.record import record_study
-from armperturb.study.recording.settings import StudySettings
 from armperturb.study.results.quantities import measured_cells, published_cells
-from armperturb.study.validation.validate import ValidateSettings, validate
-from armperturb.workers import kept_workers
-
-PROTOCOL = """
-forces = "practice"
-pulse_unit = 20.0
-multisine_duration = 28.5
-trial_duration = 30.0
-onset_window = [0.5, 1.0]
-
-[[conditions]]
-name = "RT7.5"
-task = "RT"
-rms_displacement = 0.0075
-pulse_levels = [1.0, 2.0]
-
-[[conditions]]
-name = "PT0"
-task = "PT"
-pulse_levels = [1.0]
-"""
+from tests.recorded import cells_of_cohort, cohort
 
 
 @pytest.fixture(scope="module")
 def settings(tmp_path_factory):
-    path = tmp_path_factory.mktemp("cohort") / "protocol.toml"
-    path.write_text(PROTOCOL)
-    return StudySettings(subjects=2, seed=4, protocol=path, engine="compiled")
+    return cohort(tmp_path_factory.mktemp("cohort"))
 
 
 @pytest.fixture(scope="module")
-def alone(settings):
-    return measure_cohort(settings, workers=1, show_progress=False)
+def alone(once):
+    return once("cohort", cells_of_cohort)
 
 
 @pytest.mark.slow(reason="simulates and analyses a cohort twice")
@@ -60,16 +37,6 @@ def test_cells_are_those_of_a_study_to_the_last_bit(settings, alone, tmp_path):
 def test_a_larger_cohort_begins_with_the_same_people(settings, alone):
     first = measure_cohort(replace(settings, subjects=1), workers=1, show_progress=False)
     np.testing.assert_array_equal(first, alone[:1])
-
-
-@pytest.mark.slow(reason="processes of a pool")
-def test_processes_give_the_same_cells_and_the_same_validation(settings, alone):
-    validation = ValidateSettings(task="RT", model="1", groups=2, trials=1, estimators=("frequency", "record"))
-    with kept_workers():  # whose start takes longer than what they do
-        assert measure_cohort(settings, workers=2, show_progress=False).equals(alone)
-        one, two = (validate(validation, workers=count, show_progress=False) for count in (1, 2))
-    assert one.to_frame().equals(two.to_frame())
-    assert one.names == two.names == validation.structure().free
 
 
 @pytest.mark.slow(reason="starts a Dask cluster")

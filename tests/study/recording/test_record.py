@@ -5,11 +5,8 @@ import io
 import logging
 import multiprocessing
 import os
-import resource
-import shutil
 import signal
 import sys
-import threading
 import time
 from dataclasses import replace
 from multiprocessing import forkserver
@@ -24,73 +21,21 @@ from armperturb.study.recording import record as runner
 from armperturb.study.recording.record import record_study
 from armperturb.study.recording.settings import StudySettings
 from armperturb.study.results.analyse import run_study
-from armperturb.workers import kept_workers
+from tests.recorded import (
+    N_SUBJECTS,
+    N_TRIALS,
+    PATIENCE,
+    PROTOCOL,
+    arguments,
+    assert_checksums_fit,
+    assert_same_content,
+    count,
+    files,
+    killing,
+    wait_for,
+)
 
 pytestmark = pytest.mark.slow(reason="records studies, in processes that are killed and interrupted")
-
-PROTOCOL = """
-forces = "published"
-trial_duration = 1.0
-multisine_duration = 0.9
-onset_window = [0.3, 0.8]
-
-[[conditions]]
-name = "PT2.5"
-task = "PT"
-rms_displacement = 0.0025
-published_force = 1.2
-pulse_levels = [1]
-
-[[conditions]]
-name = "RT0"
-task = "RT"
-pulse_levels = [1]
-"""
-N_SUBJECTS, N_TRIALS = 4, 4
-PATIENCE = 120.0  # [s]; far more than anything here takes, on however busy a machine
-
-
-@pytest.fixture(scope="module")
-def protocol(tmp_path_factory):
-    path = tmp_path_factory.mktemp("protocol") / "short.toml"
-    path.write_text(PROTOCOL)
-    return path
-
-
-@pytest.fixture(scope="module")
-def settings(protocol):
-    return StudySettings(subjects=N_SUBJECTS, seed=3, protocol=protocol, muscles="linear")
-
-
-@pytest.fixture(scope="module")
-def finished(settings, once):
-    """Folder of a study that nothing disturbed."""
-
-    def make(folder):
-        record_study(settings, folder, show_progress=False)
-        return folder
-
-    return once("finished", make)
-
-
-@pytest.fixture(scope="module")
-def undisturbed(finished):
-    """File name to bytes of its recordings."""
-    return files(finished)
-
-
-@pytest.fixture
-def copied(finished, tmp_path):
-    """Folder of the same study, to do something to."""
-    shutil.copytree(finished, tmp_path / "copied")
-    return tmp_path / "copied"
-
-
-@pytest.fixture(scope="module")
-def kept_processes():
-    """Local worker processes are passed on from one test to the next."""
-    with kept_workers(runner.__name__):
-        yield
 
 
 @pytest.fixture(scope="module")
@@ -101,53 +46,6 @@ def forked():
     context.set_forkserver_preload([*ours, "dask.array", "distributed", "h5netcdf", "pytest"])
     forkserver.ensure_running()
     return context
-
-
-def files(out):
-    return {path.name: path.read_bytes() for path in (out / "recordings").iterdir()}
-
-
-def assert_same_content(out, expected):
-    """The same files with the same content, and checksums that fit.
-
-    Bytes nearly always agree too, and then nothing is read; but HDF5 may arrange a file differently.
-    """
-    found = files(out)
-    assert found.keys() == expected.keys()
-    for name in found.keys() - {"SHA256SUMS"}:
-        if found[name] != expected[name]:
-            here, there = (load_recording(write(out, each)) for each in (found[name], expected[name]))
-            assert here.identical(there), name
-    assert_checksums_fit(found)
-
-
-def write(out, content):
-    path = out.with_name(f"{out.name}-compared.nc")
-    path.write_bytes(content)
-    return path
-
-
-def assert_checksums_fit(found):
-    sums = dict(reversed(line.split("  ")) for line in found["SHA256SUMS"].decode().splitlines())
-    assert sums == {name: hashlib.sha256(found[name]).hexdigest() for name in found if name.endswith(".nc")}
-
-
-def count(out):
-    return len(list((out / "recordings").glob("*.nc")))
-
-
-def arguments(out, protocol, *options):
-    return [
-        *("study", "--out", str(out), "--protocol", str(protocol), "--subjects", str(N_SUBJECTS), "--seed", "3"),
-        *("--muscles", "linear", "--record-only", *options),
-    ]
-
-
-def wait_for(condition):
-    end = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.005)
 
 
 def test_files_hold_every_trial_in_order(undisturbed, tmp_path):
@@ -170,35 +68,6 @@ def test_blocks_change_no_file_of_people_whose_muscles_yield(settings, tmp_path)
     for block in (96, 3):
         record_study(two, tmp_path / str(block), block=block, show_progress=False)
     assert_same_content(tmp_path / "96", files(tmp_path / "3"))
-
-
-def killing(out, victim):
-    """A thread that kills a process as soon as the first file is there, and its verdict whether that was on the way."""
-    on_the_way = []
-
-    def kill():
-        wait_for(lambda: count(out) > 0)
-        victim().kill()
-        on_the_way.append(count(out) < N_SUBJECTS)
-
-    thread = threading.Thread(target=kill)
-    thread.start()
-    return thread, on_the_way
-
-
-def local_workers():
-    children = psutil.Process().children()
-    return [child for child in children if any("LokyProcess" in word for word in child.cmdline())]
-
-
-def test_workers_change_no_file_though_one_is_killed(settings, undisturbed, kept_processes, tmp_path, caplog):
-    thread, on_the_way = killing(tmp_path, lambda: local_workers()[0])
-    with caplog.at_level(logging.WARNING):
-        record_study(settings, tmp_path, workers=2, show_progress=False)
-    thread.join()
-    assert on_the_way == [True]
-    assert "a worker process died" in caplog.text
-    assert_same_content(tmp_path, undisturbed)
 
 
 def test_a_dask_cluster_gives_the_same_files_though_a_worker_is_killed(settings, undisturbed, forked, tmp_path):
@@ -330,29 +199,6 @@ def test_finished_subjects_are_not_done_again(settings, copied, monkeypatch):
     monkeypatch.setattr(runner, "run_experiment", None)
     found = record_study(settings, copied, workers=2, show_progress=False)
     assert found == [copied / "recordings" / f"S0{number}.nc" for number in range(1, N_SUBJECTS + 1)]
-
-
-def test_a_full_disk_is_one_line_and_spares_earlier_files(
-    protocol, settings, undisturbed, kept_processes, copied, capfd
-):
-    for name in ("S02.nc", "S04.nc"):
-        (copied / "recordings" / name).unlink()
-    before = files(copied)
-    # A limit on the size of files stands for a full disk: the same call fails in the same place.
-    unlimited = resource.getrlimit(resource.RLIMIT_FSIZE)
-    limit = (len(undisturbed["S02.nc"]) // 2, unlimited[1])
-    try:
-        for process in (psutil.Process(), *local_workers()):
-            process.rlimit(psutil.RLIMIT_FSIZE, limit)
-        status = main(arguments(copied, protocol, "--workers", "2"))
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, unlimited)
-    assert status == 1
-    [line] = capfd.readouterr().err.splitlines()
-    assert "cannot be written (File too large); what was finished before is kept" in line
-    assert files(copied) == before
-    record_study(settings, copied, show_progress=False)
-    assert_same_content(copied, undisturbed)
 
 
 def test_other_settings_are_refused(settings, copied):

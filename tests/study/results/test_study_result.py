@@ -1,6 +1,5 @@
 """An analysed study: kept and read again, made anew where its sources change, and made of what is there."""
 
-import dataclasses
 import hashlib
 import json
 import math
@@ -8,12 +7,10 @@ import os
 import re
 import shutil
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from armperturb import archive
@@ -21,44 +18,16 @@ from armperturb.cli import main
 from armperturb.recording_files import load_recording, save_recording
 from armperturb.study.comparison.score import score, share
 from armperturb.study.protocol import THESIS
-from armperturb.study.recording.record import record_study
-from armperturb.study.recording.settings import StudySettings
 from armperturb.study.report import report
 from armperturb.study.results import analyse, person
 from armperturb.study.results.analyse import analyse_study
 from armperturb.study.results.appendix_fits import Fits, SecondStep
 from armperturb.study.results.person import PersonResults, missing_trials
 from armperturb.study.results.quantities import Cell
-from armperturb.workers import kept_workers
+from tests.differences import differences
 from tests.studies import FEW_FITS, sketch
 
 COMPUTING = ("analyse_person", "fit_second_step")
-
-
-def differences(a, b, where="result", rel=0.0):
-    """Where two values differ, however deep, by more than a share of them; NaN equals NaN."""
-    if type(a) is not type(b):
-        return [f"{where}: {type(a)} and {type(b)}"]
-    if dataclasses.is_dataclass(a):
-        names = [field.name for field in dataclasses.fields(a)]
-        return [d for name in names for d in differences(getattr(a, name), getattr(b, name), f"{where}.{name}", rel)]
-    if isinstance(a, np.ndarray):
-        if a.dtype != b.dtype or a.shape != b.shape or a.dtype.kind not in "fc":
-            return [] if np.array_equal(a, b) else [where]
-        return [] if np.allclose(a, b, rtol=rel, atol=0.0, equal_nan=True) else [where]
-    if isinstance(a, pd.DataFrame):
-        return differences(a.to_dict("list"), b.to_dict("list"), where, rel)
-    if isinstance(a, Mapping):
-        if list(a) != list(b):
-            return [f"{where}: {list(a)} and {list(b)}"]
-        return [d for key in a for d in differences(a[key], b[key], f"{where}[{key}]", rel)]
-    if isinstance(a, list | tuple):
-        if len(a) != len(b):
-            return [f"{where}: {len(a)} and {len(b)} long"]
-        return [d for k, (x, y) in enumerate(zip(a, b, strict=True)) for d in differences(x, y, f"{where}[{k}]", rel)]
-    if isinstance(a, float):
-        return [] if np.allclose(a, b, rtol=rel, atol=0.0, equal_nan=True) else [f"{where}: {a} and {b}"]
-    return [] if a == b else [f"{where}: {a} and {b}"]
 
 
 @pytest.fixture(scope="module")
@@ -310,52 +279,6 @@ def test_a_recording_of_two_people_is_named(copied, monkeypatch):
     monkeypatch.setattr(person, "identify_person", lambda *_: ())  # takes seconds
     with pytest.raises(ValueError, match=r"S01\.nc: recording: subject = S01, S09; expected one person"):
         analysed(copied)
-
-
-LONG_ENOUGH = """
-forces = "published"
-trial_duration = 28.7
-multisine_duration = 28.5
-pulse_directions_deg = [20.0]
-
-[[conditions]]
-name = "RT22.5"
-task = "RT"
-rms_displacement = 0.0225
-published_force = 1.8
-"""
-
-
-@pytest.fixture(scope="module")
-def kept_processes():
-    """Worker processes are passed on from an analysis to a report, as the command does."""
-    with kept_workers(analyse.__name__, report.__name__):
-        yield
-
-
-@pytest.mark.slow(reason="analyses in several processes")
-def test_worker_processes_change_nothing_but_roundings(kept_processes, tmp_path):
-    (tmp_path / "p.toml").write_text(LONG_ENOUGH)
-    # A step at which this takes seconds; nothing here depends on it.
-    settings = StudySettings(subjects=2, protocol=tmp_path / "p.toml", muscles="linear", timestep=5e-3)
-    record_study(settings, tmp_path / "s", show_progress=False)
-    here = analysed(tmp_path / "s")
-    shutil.rmtree(tmp_path / "s" / "analysis")  # else it would only be read again
-    there = analyse_study(tmp_path / "s", workers=2, settings=FEW_FITS, show_progress=False)
-    assert [case.name for case in there.of("RT22.5")] == ["S01", "S02"]
-    assert len(here.people[0].trials) == 1  # appendix C, which takes long, starts from RT7.5, which is not there
-    # With another number of threads, BLAS adds in another order.
-    assert differences(here, there, rel=1e-10) == []
-
-
-@pytest.mark.slow(reason="draws in several processes")
-def test_workers_draw_the_same_bytes(study, kept_processes, tmp_path):
-    figures = ("fit_PT", "trajectories_PT")
-    pages = [sketch(study, tmp_path / str(workers), figures, workers) for workers in (1, 2)]
-    assert pages[0] == pages[1]
-    for name in figures:
-        one, two = (tmp_path / folder / "figures" / f"{name}.svg" for folder in "12")
-        assert one.read_bytes() == two.read_bytes()
 
 
 def test_the_command_reports_on_what_is_there(copied, capsys, monkeypatch):
