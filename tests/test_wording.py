@@ -5,6 +5,8 @@ import re
 from functools import cache
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
 PHRASES = re.compile(
     r"\b(greatest likelihood|likelier|hardly known|told apart|can hardly be told|bl[eo]ws? up|blown up|restless\w*"
@@ -67,6 +69,7 @@ def remarks(find, paths):
     return sorted({remark for path in paths for remark in find(path)})
 
 
+@pytest.mark.slow(reason="reads all text")
 def test_text_has_the_words_of_the_field():
     assert not remarks(phrases, pages())
 
@@ -76,5 +79,6 @@ def test_phrases_are_seen_across_lines():
     assert not PHRASES.search("household, strengthens")
 
 
+@pytest.mark.slow(reason="parses all modules")
 def test_names_say_what_they_hold():
     assert not remarks(names, [path for path in pages() if path.endswith(".py")])

@@ -13,7 +13,7 @@ from armperturb.study.validation.report import title
 from armperturb.study.validation.validate import Judged, ValidateSettings, Validation, simulate_group, validate
 from armperturb.subject import POSITION
 
-RECORD = ValidateSettings(groups=16, trials=2, estimators=("record",))
+RECORD = ValidateSettings(groups=10, trials=1, estimators=("record",))
 """So many groups because the errors of a group's parameters are correlated: those of four can be half the bound."""
 
 pytestmark = pytest.mark.slow(reason="repeats estimates on many simulated groups of trials")
@@ -63,7 +63,8 @@ def test_whole_records_come_near_the_bound_and_their_intervals_hold_the_truth(ri
 
 
 def test_the_thesis_is_judged_beside_and_is_far_from_the_bound():
-    found = validate(replace(RECORD, groups=2, estimators=("thesis", "record")), workers=1, show_progress=False)
+    settings = replace(RECORD, groups=2, trials=2, estimators=("thesis", "record"))
+    found = validate(settings, workers=1, show_progress=False)
     thesis, record = (
         [r for r in found.to_frame().to_dict("records") if r["estimator"] == name] for name in ("thesis", "record")
     )
