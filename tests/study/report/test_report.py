@@ -13,6 +13,7 @@ import pytest
 from markupsafe import escape
 from scipy import stats
 
+from armperturb.envs.render.camera import simplify
 from armperturb.files import checksum
 from armperturb.pages.formats import MISSING, chance, digits, mean_sd, signed, symbol, words
 from armperturb.plots.style import COLOURS, TRUE, save_svg, shades
@@ -449,8 +450,21 @@ def test_admittance_of_the_tasks_is_the_ratio_of_the_gains(thesis_study, out):
     assert ours["admittance_ratio_rt7.5_pt7.5"] == pytest.approx(sum(gains) / 4)
 
 
-def test_rig_is_drawn(study):
-    assert [len(ax.images) for ax in rig_figures.rig(study).axes] == [1, 1]
+def test_rig_is_drawn(study, monkeypatch):
+    draw = rig_figures.render
+
+    def small(model, *, camera, width, height):
+        limits = model.vis.global_
+        assert width <= limits.offwidth
+        assert height <= limits.offheight
+        simplify(model, 48)
+        return draw(model, camera=camera, width=48, height=48)
+
+    monkeypatch.setattr(rig_figures, "render", small)
+    top, oblique = (ax.images[0].get_array() for ax in rig_figures.rig(study).axes)
+    for picture in (top, oblique):
+        assert np.std(picture) > 5.0  # something is seen
+    assert not np.array_equal(top, oblique)
 
 
 def test_users_settings_neither_matter_nor_change(study, tmp_path):
