@@ -58,6 +58,7 @@ def leave_a_line(file):
         lines.write("done\n")
 
 
+@pytest.mark.slow(reason="processes of its own")
 def test_what_is_done_ahead_is_done_once_and_may_fail(tmp_path):
     ahead = [partial(leave_a_line, tmp_path / "first"), partial(fail, 1), partial(leave_a_line, tmp_path / "second")]
     with kept_workers(ahead=ahead):
@@ -88,6 +89,7 @@ def has_loaded(module):
     return module in sys.modules
 
 
+@pytest.mark.slow(reason="processes of its own")
 def test_processes_start_and_load_before_there_is_work():
     with workers_for(2, None, ["armperturb.person_files"]) as pool:
         before = set(psutil.Process().children())
@@ -160,6 +162,7 @@ def note_that_the_helper_died(_):
     warnings.warn("resource_tracker: process died unexpectedly, relaunching", stacklevel=1)
 
 
+@pytest.mark.slow(reason="processes of its own")
 def test_a_warning_of_a_worker_is_one_line_and_a_helper_that_was_killed_is_none(capfd):
     with workers_for(2, None) as pool:
         list(completed(note_that_the_helper_died, range(2), pool))

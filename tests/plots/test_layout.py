@@ -27,7 +27,7 @@ def an_admittance():
 def subfigures():
     figure = new_figure(6.0)
     for part in figure.subfigures(2, 1):
-        for ax in part.subplots(2, 3, sharex=True, sharey=True).flat:
+        for ax in part.subplots(2, 2, sharex=True, sharey=True).flat:
             ax.plot(X, 1000.0 * X)
             ax.set(title="title", xlabel="frequency [Hz]", ylabel=r"$\gamma^2_{xd}$ [-]", xscale="log")
             ax.label_outer()
@@ -70,7 +70,7 @@ def ticks_that_change():
     """Panels that become taller than they first seem, and then have ticks with longer labels."""
     figure = new_figure(6.9)
     for part in figure.subfigures(2, 1):
-        for ax in part.subplots(2, 3, sharex=True, sharey=True).flat:
+        for ax in part.subplots(2, 1, sharex=True, sharey=True).flat:
             ax.plot(X, np.linspace(0.5, 1.0, len(X)))
             ax.set(ylabel="[-]", ylim=(0, 1.05), title="title", xlabel="frequency [Hz]")
             ax.label_outer()

@@ -13,7 +13,7 @@ from armperturb.study.comparison.ceiling import OF_PRINTED_ARMS, causes, replica
 from armperturb.study.comparison.effects import Effects
 from armperturb.study.comparison.elastic_limits import NAMES, elastic_rows
 from armperturb.study.comparison.headlines import Headline
-from armperturb.study.comparison.score import Score, missing_cells, shares
+from armperturb.study.comparison.score import Score, Share, missing_cells, shares
 from armperturb.study.experiments.mechanisms import PULSES, Yielding
 from armperturb.study.experiments.moving_shoulder import MovingShoulder
 from armperturb.study.report import findings as of_study
@@ -192,13 +192,14 @@ def _agreement(score: Score) -> dict[str, Any]:
         for name, label in WORDS["headlines"].items()
         if (line := by_name.get(name))
     ]
-    of_group = {label: shares(score)[name] for name, label in WORDS["groups"].items()}
+    every = shares(score)
+    of_group = {label: every[name] for name, label in WORDS["groups"].items()}
     reach = {name: f"{low} to {high} %" for name, (low, high) in OF_PRINTED_ARMS.items()}
     reachable = {label: reach.get(name, "") for name, label in WORDS["groups"].items()}
     return {
         "factors": factors,
         "shares": of_group,
-        "differs": _differs(score, factors),
+        "differs": _differs(score, factors, every),
         "reachable": reachable,
         "replicate": replicate_share(1.0, score.people),
     }
@@ -211,8 +212,14 @@ def _mark(line: Headline) -> str:
     return "" if abs(line.ours / float(line.published) - 1.0) <= NEAR else "beyond-1"
 
 
-def _differs(score: Score, factors: list[Row]) -> list[str]:
-    """The largest differences, in words."""
+def _differs(score: Score, factors: list[Row], every: Mapping[str, Share]) -> list[str]:
+    """The largest differences, in words.
+
+    Args:
+      score: of the study.
+      factors: the headline numbers, marked.
+      every: the shares of the score.
+    """
     off = [factor for factor in factors if factor["mark"] == "beyond-1"]
     lines = [f"{len(off)} of {len(factors)} headline numbers are off by more than {100.0 * NEAR:.0f} %"] if off else []
     if against := [factor for factor in off if factor["contradiction"]]:
@@ -223,12 +230,11 @@ def _differs(score: Score, factors: list[Row]) -> list[str]:
         named = ", ".join(f"{scored.cell.quantity} in {scored.cell.condition}" for scored in beyond[:MOST_NAMED])
         more = f" and {len(beyond) - MOST_NAMED} more" if len(beyond) > MOST_NAMED else ""
         lines.append(f"movements beyond 2 SD: {named.replace('_', ' ')}{more}")
-    of_tables = {name: scored for name, scored in shares(score).items() if "." in name and " " not in name}
+    of_tables = {name: scored for name, scored in every.items() if "." in name and " " not in name}
     far = sorted((scored.parts[1], name) for name, scored in of_tables.items() if scored.parts[1] < 0.5)
     if far:
         worst = ", ".join(f"{name} ({100.0 * part:.0f}\u00a0%)" for part, name in far[:MOST_NAMED])
         lines.append(f"less than half of the cells within 1 SD: {len(far)} of {len(of_tables)} tables, least {worst}")
-    every = shares(score)
     lines += causes({name: every[name].parts[1] for name in WORDS["groups"] if every[name].computed}, score.people)
     lacking = sum(missing_cells(score).values())
     if lacking:

@@ -310,6 +310,7 @@ def test_simulated_records_hold_the_predicted_information_and_estimates_scatter_
     assert np.exp(np.mean(np.log(held[0] / held[1])[columns])) == pytest.approx(plan.factors["follows"], rel=0.1)
 
 
+@pytest.mark.slow(reason="lowers the peaks of multisines")
 def test_draw_multisine_refuses_and_repeats():
     lines, power = np.array([5, 6, 7]), np.ones((3, 2))
     first, again = (draw_multisine(lines, power, seed=3, duration=1.0).force for _ in range(2))
@@ -478,7 +479,7 @@ def test_perturbations_of_somebody_else_are_neither_replaced_nor_removed(tmp_pat
 
 
 @pytest.mark.slow(reason="optimises multisines")
-def test_a_plan_that_fails_leaves_that_of_before(tmp_path, plan, monkeypatch):
+def test_a_plan_that_fails_leaves_that_of_before(tmp_path, plan, monkeypatch, blank_pictures):
     write_design(plan, tmp_path)
     more = tmp_path / "perturbations" / "trial_99.csv"
     more.write_text("of a plan with more trials")
