@@ -68,7 +68,7 @@ def pictures():
 
 def ticks_that_change():
     """Panels that become taller than they first seem, and then have ticks with longer labels."""
-    figure = new_figure(6.9)
+    figure = new_figure(6.4)
     for part in figure.subfigures(2, 1):
         for ax in part.subplots(2, 1, sharex=True, sharey=True).flat:
             ax.plot(X, np.linspace(0.5, 1.0, len(X)))
