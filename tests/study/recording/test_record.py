@@ -59,8 +59,8 @@ def test_files_hold_every_trial_in_order(undisturbed, tmp_path):
 
 
 def test_blocks_change_no_file(settings, undisturbed, tmp_path):
-    record_study(settings, tmp_path, show_progress=False, block=1)
-    assert_same_content(tmp_path, undisturbed)
+    record_study(replace(settings, subjects=2), tmp_path, show_progress=False, block=1)
+    assert_same_content(tmp_path, {name: undisturbed[name] for name in ("S01.nc", "S02.nc", "SHA256SUMS")})
 
 
 def test_blocks_change_no_file_of_people_whose_muscles_yield(settings, tmp_path):
