@@ -100,7 +100,9 @@ FEW_FITS = AnalysisSettings(structures=("1",), starts_of=None)
 
 def coarse_study(settings, folder, analysis=FEW_FITS):
     """A study whose recordings take a second, and its analysis."""
-    return run_study(replace(settings, engine="compiled", timestep=5e-3), folder, analysis=analysis, show_progress=False)
+    return run_study(
+        replace(settings, engine="compiled", timestep=5e-3), folder, analysis=analysis, show_progress=False
+    )
 
 
 def short_study(protocol, folder):

@@ -10,6 +10,7 @@ import xarray as xr
 
 from armperturb.cohort import average_person, draw_cohort
 from armperturb.environment import Environment
+from armperturb.files import write_whole
 from armperturb.muscle_law import MuscleLaw
 from armperturb.pages.formats import MISSING, digits
 from armperturb.study.experiments import mechanisms as why
@@ -201,6 +202,7 @@ def test_figures_do_without_arms_that_are_unstable(explained):
 
 def test_example_draws_and_tells(explained, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(why, "why_people_yield", lambda person: explained)
+    monkeypatch.setattr("armperturb.plots.style.save_png", lambda figure, path, _: write_whole(path, b""))
     runpy.run_path(str(ROOT / "docs" / "figures" / "muscle_mechanisms.py"))["main"](tmp_path / "folder")
     assert {path.name for path in (tmp_path / "folder").iterdir()} == {
         f"yielding_{name}.png" for name in ("loops", "admittance", "pulses")
@@ -254,7 +256,7 @@ def test_report_says_why_the_first_person_yields(reported, explained, tmp_path):
     assert "Not shown" not in text
 
 
-def test_report_says_which_arms_are_not_shown(reported, explained):
+def test_report_says_which_arms_are_not_shown(reported, explained, blank_pictures):
     gone = {key: "still <swings>" for key in explained.responses if key[0] != WHOLE}
     kept = {key: response for key, response in explained.responses.items() if key not in gone}
     text, _ = reported(draw_cohort(1, 3)[0], replace(explained, responses=kept, unstable=gone))
