@@ -127,9 +127,14 @@ class LinearArm:
         gradient.put("grip", np.zeros((), dtype=complex))
         return parameter_last(gradient.values)
 
-    def admittance_and_gradient(self, values: Array) -> tuple[ComplexArray, ComplexArray]:
-        """`admittance` and its derivative by every parameter, (frequency, output, input, parameter)."""
-        arm, gradient = self._arm_and_gradient(values, None)
+    def admittance_and_gradient(
+        self, values: Array, groups: Sequence[str] = tuple(GROUPS)
+    ) -> tuple[ComplexArray, ComplexArray]:
+        """`admittance` and its derivative by the groups' parameters, by default all of them.
+
+        The derivative is (frequency, output, input, parameter).
+        """
+        arm, gradient = self._arm_and_gradient(values, None, groups)
         return matrix_last(arm), parameter_last(gradient)
 
     def total_and_gradient(

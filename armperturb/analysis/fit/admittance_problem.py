@@ -1,6 +1,7 @@
 """Error of an arm model against an admittance, with its derivative and the penalty on instability (eqs 2.18-2.21)."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import get_args
 
 import numpy as np
@@ -8,6 +9,7 @@ from numpy.typing import ArrayLike
 from scipy import optimize
 
 from armperturb.analysis.arm.linear_arm import Delay, LinearArm
+from armperturb.analysis.arm.parameters import groups_of
 from armperturb.analysis.fit.structures import Structure
 from armperturb.arrays import Array, ComplexArray
 from armperturb.environment import Environment
@@ -88,6 +90,12 @@ class AdmittanceProblem:
     upper: Array
     latest_pole: dict[bytes, complex] = field(default_factory=dict)
 
+    @cached_property
+    def _asked(self) -> tuple[tuple[str, ...], Array]:
+        """Groups of parameters in which any is free, and their rows of the mixing."""
+        groups, index = groups_of(np.any(self.mixing != 0.0, axis=1))
+        return groups, self.mixing[index]
+
     def parameters(self, values: Array) -> Array:
         """Parameters of the arm from the free ones, (parameter,)."""
         return np.asarray(self.constant + self.mixing @ values)
@@ -113,10 +121,11 @@ class AdmittanceProblem:
 
     def log_error_and_slope(self, values: Array) -> tuple[ComplexArray, ComplexArray]:
         """`log_error` and its derivative, (4 frequency,) and (4 frequency, parameter)."""
-        model, gradient = self.model.admittance_and_gradient(self.parameters(values))
+        groups, mixing = self._asked
+        model, gradient = self.model.admittance_and_gradient(self.parameters(values), groups)
         error = self.weight * np.log(self.admittance / model)
         slope = gradient * (-self.weight / model)[..., None]
-        return np.asarray(error.reshape(-1)), np.asarray(slope.reshape(error.size, -1) @ self.mixing)
+        return np.asarray(error.reshape(-1)), np.asarray(slope.reshape(error.size, -1) @ mixing)
 
     def modulus_and_slope(self, values: Array) -> tuple[Array, Array]:
         """Modulus of `log_error` and its derivative, (4 frequency,) and (4 frequency, parameter)."""

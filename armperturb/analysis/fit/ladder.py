@@ -218,8 +218,8 @@ def choose_structure(
     Raises:
       ValueError: as `estimate`, of every structure that was tried, or as `with_emg`.
     """
-    group, richest = _nearest_to_linear(recorded, in_geometry, method)
-    fits = _fits_of_spectra(group)
+    group, richest, start = _nearest_to_linear(recorded, in_geometry, method)
+    fits = _fits_of_spectra(group, start)
     place = min(fits, key=lambda each: fits[each].score)
     # Neighbouring lines share noise and an arm is never quite linear: the nearest fit sets the scale.
     limit = fits[place].score + FAR * max(1.0, fits[place].distance / (8 * len(group.spectra.frequency)))
@@ -277,20 +277,23 @@ def nearest_to_linear(recorded: Group, in_geometry: Geometry, method: Method) ->
     return _nearest_to_linear(recorded, in_geometry, method)[0]
 
 
-def _nearest_to_linear(recorded: Group, in_geometry: Geometry | None, method: Method) -> tuple[Group, Rung]:
-    """Those trials, and the richest rung with them."""
-    tried = [(recorded, _richest(recorded, (), method))]
+def _nearest_to_linear(
+    recorded: Group, in_geometry: Geometry | None, method: Method
+) -> tuple[Group, Rung, "_Fitted"]:
+    """Those trials, the richest rung with them, and its fit to their admittance."""
+    start = _fit_of_spectra(recorded, RICHEST)
+    tried = [(recorded, _richest(recorded, start, (), method), start)]
     arm: Subject | None = None
     while in_geometry is not None and len(tried) < 3 and (group := in_geometry(arm)) is not None:
-        rung = _richest(group, () if arm is None else [tried[-1][1]], method)
+        start = _fit_of_spectra(group, RICHEST)
+        rung = _richest(group, start, () if arm is None else [tried[-1][1]], method)
         arm = rung.structure.arm(group.body, rung.sketch.values)
-        tried.append((group, rung))
+        tried.append((group, rung, start))
     return min(tried, key=lambda each: _objective(each[1]))
 
 
-def _richest(group: Group, others: Sequence[Rung], method: Method) -> Rung:
+def _richest(group: Group, start: "_Fitted", others: Sequence[Rung], method: Method) -> Rung:
     """The rung of which all others are special cases; if it is refuted, searched longer and from other starts."""
-    start = _fit_of_spectra(group, RICHEST)
     rung = _sketched(group, RICHEST, start, others, method)
     if not _is_refuted(rung):
         return rung
@@ -379,19 +382,21 @@ def _fit_of_spectra(group: Group, place: Place) -> _Fitted:
     return _Fitted(candidate.structure, *candidate.best_fit_of_spectra())
 
 
-def _fits_of_spectra(group: Group) -> dict[Place, _Fitted]:
-    """All rungs, each fitted to the estimated admittance."""
+def _fits_of_spectra(group: Group, richest: _Fitted) -> dict[Place, _Fitted]:
+    """All rungs, each fitted to the estimated admittance, as the richest has been."""
     fitted: dict[Place, _Fitted] = {}
     for place in itertools.product(*ORDER):
-        fitted[place] = _fit_of_spectra(group, place)
+        fitted[place] = richest if place == RICHEST else _fit_of_spectra(group, place)
     # A search may end too early. What the nearest structure has found is another start for the others.
     tried: set[Place] = set()
     while (best := min(fitted, key=lambda place: fitted[place].score)) not in tried:
         tried.add(best)
         for place, rung in fitted.items():
+            if place == best:
+                continue
             start = _carried(fitted[best].structure, fitted[best].values, rung.structure)
             again = group.with_structure(rung.structure).fit_of_spectra(start)
-            if place != best and again[1] < rung.distance:
+            if again[1] < rung.distance:
                 fitted[place] = _Fitted(rung.structure, *again)
     return fitted
 

@@ -131,7 +131,9 @@ class Whittle:
         self._n_outputs = observed.shape[1]
         self._white = np.zeros((self._n_outputs, self._n_outputs, len(index)), dtype=complex)
         self._latest: tuple[bytes, ComplexArray] = b"", self._observed
+        self._weighed_at: tuple[tuple[int, ...], bytes] | None = None
         self._unknown: ComplexArray | None = None
+        self._unknown_at: bytes | None = None
         self._span: Array | None = None
 
     @property
@@ -195,10 +197,15 @@ class Whittle:
 
     def weigh(self, values: Array) -> None:
         """Estimate the noise that is left by models with these parameters; it holds until the next call."""
+        # A search weighs where another one began or ended: without unknowns that says nothing new.
+        if self._unknown is None and self._weighed_at == (values.shape, values.tobytes()):
+            return
+        self._weighed_at = values.shape, values.tobytes()
         mean = values if values.ndim == 1 else values.mean(axis=0)
         to_force, n = self._to_smooth(mean), self._n_outputs
         answers = to_force[..., self._answering]
-        self._unknown = self._unknowns(mean)
+        if self._unknown_at != mean.tobytes():
+            self._unknown, self._unknown_at = self._unknowns(mean), mean.tobytes()
         residual, leverage = self._without_unknowns(values)
         force = applied(answers, residual)
         power = np.empty(to_force.shape, dtype=complex)
