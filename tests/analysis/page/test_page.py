@@ -65,7 +65,20 @@ def identified():
 
 
 @pytest.fixture(scope="module")
+def drawn_page(identified, tmp_path_factory):
+    return written(identified, tmp_path_factory.mktemp("drawn") / "identify.html")
+
+
+@pytest.fixture(scope="module")
 def page(identified, tmp_path_factory):
+    """With nothing in the pictures, as most of the time would pass with drawing."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("armperturb.pages.page.svg", lambda _: b"<svg/>")
+        return written(identified, tmp_path_factory.mktemp("page") / "identify.html")
+
+
+def written(identified, path):
+    """The path of a page with everything that there may be."""
     results, trials = identified
     choice = SimpleNamespace(
         group=SimpleNamespace(parts=trials["multisine"]),
@@ -82,7 +95,6 @@ def page(identified, tmp_path_factory):
         files={"<a>.nc": "0" * 64},
         notes=("a gap & a <repair>",),
     )
-    path = tmp_path_factory.mktemp("page") / "identify.html"
     write_page(results, trials, path, origin, envelopes(silent_muscles()))
     return path
 
@@ -115,12 +127,15 @@ def content(page):
     return Content(page.read_text(encoding="utf-8"))
 
 
-def test_the_page_is_one_small_file(page, content):
-    assert page.stat().st_size < 3e6
+@pytest.mark.slow(reason="draws fourteen pictures")
+def test_the_page_is_one_small_file(drawn_page):
+    assert drawn_page.stat().st_size < 3e6
+    text = drawn_page.read_text(encoding="utf-8")
+    content = Content(text)
     sources = [value for _, attrs in content.tags for name, value in attrs.items() if name in ("src", "href")]
     assert sources
     assert all(source.startswith(("data:image/svg+xml;base64,", "#")) for source in sources)
-    assert not re.search(r"url\(|@import", page.read_text(encoding="utf-8"))
+    assert not re.search(r"url\(|@import", text)
 
 
 def test_all_sections_are_there_in_order(content):
@@ -328,12 +343,12 @@ CONTRAST = """
 
 @pytest.mark.slow(reason="starts a browser")
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium, chromium-browser or google-chrome on PATH")
-def test_a_browser_shows_it_whole_at_both_widths(page, tmp_path):
+def test_a_browser_shows_it_whole_at_both_widths(drawn_page, tmp_path):
     browser = Browser(tmp_path / "profile")
     try:
         browser.open_page()
         for width in (1280, 400):
-            browser.show(page, width)
+            browser.show(drawn_page, width)
             assert browser.evaluate("document.images.length") == 14
             for wrong in (BROKEN_IMAGES, TOO_WIDE, SMALL_PRINT, DEAD_LINKS):
                 assert browser.evaluate(wrong) == []
