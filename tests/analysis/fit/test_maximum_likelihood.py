@@ -257,12 +257,12 @@ def loud(once):
 LARGE = pytest.mark.slow(reason="fits many parameters to one trial")
 
 
-@pytest.mark.slow(reason="fits twelve structures")
+@pytest.mark.slow(reason="fits eight structures")
 @METHODS
 @pytest.mark.parametrize(
     ("task", "model"),
     [
-        *(("PT", "1"), ("RT", "1"), ("PT", "3b"), ("RT", "3b")),
+        *(("PT", "1"), ("RT", "1")),
         *(pytest.param("RT", "4", marks=LARGE), pytest.param("PT", "6", marks=LARGE)),
     ],
 )
