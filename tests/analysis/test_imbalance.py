@@ -120,6 +120,7 @@ def test_the_signal_that_is_late_is_named_with_its_delay(place, late, noise):
     assert wrong.text.startswith(f"{wrong.kind} is recorded {size} than")
 
 
+@pytest.mark.slow(reason="repeats estimates on drawn records")
 def test_the_standard_error_of_a_delay_is_its_scatter():
     delays = [found(*signals(late=(0.0, 0.002, 0.0), seed=seed, force=0.2)) for seed in range(5)]
     scatter = [(each.delay - 0.002) / each.standard_error for each in delays]

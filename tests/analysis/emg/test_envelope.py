@@ -108,6 +108,7 @@ def test_envelope_is_in_step_with_signals_that_a_filter_delays():
         assert -phase / (2 * np.pi * 4.0) == pytest.approx(lead, abs=1e-3)
 
 
+@pytest.mark.slow(reason="averages over many trials")
 def test_fast_changes_leave_slow_ones_of_the_difference_of_antagonists_as_they_are():
     """The difference of the roots of powers grows by 4 % with such fast ones."""
 

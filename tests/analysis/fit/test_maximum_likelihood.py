@@ -217,6 +217,7 @@ def test_a_force_of_wrong_scale_is_remarked_upon(relax):
     assert "10 % too large" in imbalance.text
 
 
+@pytest.mark.slow(reason="fits for each direction of the manipulator's errors")
 def test_intervals_contain_what_is_unknown_of_the_manipulator():
     """By as much as estimates move if a manipulator is taken that is off by one standard deviation."""
     trials = ConditionTrials.prepare(record(RELAX, 2, noise=0.0))

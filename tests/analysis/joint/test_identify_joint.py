@@ -63,6 +63,7 @@ def test_errors_count_that_the_noise_is_estimated(recording):
     assert np.all(np.diag(fit.covariance) > 1.01 * np.diag(np.linalg.inv(known)))
 
 
+@pytest.mark.slow(reason="a search by maximum likelihood of two structures")
 def test_a_half_wave_that_is_asked_for_is_described_with_its_direction(recording):
     result = identify_joint(recording.isel(time=slice(0, 4000)), reflex="half-wave")
     assert len(result.tried) == 2

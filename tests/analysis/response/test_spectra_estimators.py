@@ -183,6 +183,7 @@ def test_models_of_a_noisy_arm_are_stable_and_as_slow_as_it(noisy_arm, fit):
     assert fit(joint_records(noisy_arm), BELOW_20).largest_pole == pytest.approx(slowest, abs=0.003)
 
 
+@pytest.mark.slow(reason="simulates noisy trials")
 def test_a_model_straight_from_force_to_displacement_would_be_biased(noisy_arm):
     records = joint_records(noisy_arm)
     straight = [TrialRecord(record.response[:, :2], record.response[:, 2:], record.rate) for record in records]
@@ -192,6 +193,7 @@ def test_a_model_straight_from_force_to_displacement_would_be_biased(noisy_arm):
     assert np.median(relative_error(joint, truth)) < 0.3 * np.median(relative_error(direct, truth))
 
 
+@pytest.mark.slow(reason="simulates noisy trials")
 def test_responses_of_one_recording_fit_together(noisy_arm):
     frequency = BELOW_20
     order = {"order": 15}
@@ -241,8 +243,9 @@ def test_circles_hold_a_load_whose_force_is_noisy(load):
 def test_what_is_before_the_start_is_left_out(load, method):
     later = load.isel(time=slice(1000, None)).assign_coords(time=load["time"].values[:-1000])
     frequency = response(load, "spectral").frequency[3:8]
+    options = {"noise": {"balance": False}, "arx": {"order": 8}, "subspace": {"order": 8, "past": 12}}.get(method, {})
     found, expected = (
-        response(recording, method, frequency, window_start=start, **({"balance": False} if method == "noise" else {}))
+        response(recording, method, frequency, window_start=start, **options)
         for recording, start in ((load, 5.0), (later, 0.0))
     )
     np.testing.assert_allclose(found.response, expected.response, rtol=1e-9)

@@ -108,6 +108,7 @@ def test_stiffness_over_a_scheduling_variable_predicts_what_was_held_out():
     assert estimate.held_out_vaf > 95.0
 
 
+@pytest.mark.slow(reason="estimates an ensemble twice")
 def test_units_are_those_of_the_recording():
     angle, torque = measured(100.0, 6, 1.5, 0.1)
     estimates = [identify_varying(recorded(angle, torque, angular=each), reflex="none") for each in (True, False)]
