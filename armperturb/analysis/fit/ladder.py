@@ -277,9 +277,7 @@ def nearest_to_linear(recorded: Group, in_geometry: Geometry, method: Method) ->
     return _nearest_to_linear(recorded, in_geometry, method)[0]
 
 
-def _nearest_to_linear(
-    recorded: Group, in_geometry: Geometry | None, method: Method
-) -> tuple[Group, Rung, "_Fitted"]:
+def _nearest_to_linear(recorded: Group, in_geometry: Geometry | None, method: Method) -> tuple[Group, Rung, "_Fitted"]:
     """Those trials, the richest rung with them, and its fit to their admittance."""
     start = _fit_of_spectra(recorded, RICHEST)
     tried = [(recorded, _richest(recorded, start, (), method), start)]
