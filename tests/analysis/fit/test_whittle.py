@@ -75,6 +75,29 @@ def test_errors_are_as_large_as_the_information_says(tapered, with_drift):
     assert np.sqrt(np.var(gains) / np.mean(as_estimated)) == pytest.approx(1.0, abs=0.05)
 
 
+class Drifting(Gain):
+    """What is unknown depends on the value."""
+
+    def _unknowns(self, values):
+        return self._drift[2:10] if values[0] > 0.5 else self._drift[10:18]
+
+
+@pytest.mark.parametrize("with_drift", [False, True])
+def test_what_was_weighed_before_leaves_no_trace(with_drift):
+    """Whatever values were asked about, and in which order; the noise that is left has settled after some rounds."""
+    rng, taper = np.random.default_rng(6), np.ones(N)
+    signals = rng.standard_normal((2, N_TRIALS, 2, N))
+    costs = []
+    for order in ((0.3, 0.9, 0.9), (0.9, 0.3, 0.9), (0.9, 0.9, 0.9)):
+        kind = Drifting if with_drift else Gain
+        likelihood = kind(*signals, taper, spectra_of_drift(taper) if with_drift else None)
+        for value in (*order, 0.9, 0.9, 0.9, 0.9):
+            likelihood.weigh(np.array([value]))
+        costs.append([likelihood.objective(np.array([0.9])), likelihood.cost(np.array([0.3]))])
+    np.testing.assert_allclose(costs[1:], [costs[0]] * 2, rtol=1e-6)
+    assert abs(costs[0][0] - likelihood.objective(np.array([0.3]))) > 1.0
+
+
 def test_least_squares_of_rows_is_numpys():
     rng = np.random.default_rng(1)
     columns, rows = rng.standard_normal((3, 20)), rng.standard_normal((4, 20))
