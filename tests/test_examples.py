@@ -15,6 +15,7 @@ from armperturb import RELAX
 from armperturb.analysis.response.closed_loop import estimate_multisine
 from armperturb.cohort import draw_person
 from armperturb.pages.page import Picture
+from armperturb.perturbations import multisine
 from armperturb.recording import REQUIRED_SIGNALS
 from armperturb.study.report.figures import rig as rig_figures
 
@@ -25,9 +26,9 @@ MAKE = runpy.run_path(str(TUTORIALS / "make.py"))
 
 @pytest.fixture(scope="module", autouse=True)
 def each_once():
-    """Several of them read the same files and identify the same trials: once suffices."""
-    read, identify = armperturb.import_recording, armperturb.identify
-    recordings, identified = {}, {}
+    """Several of them read the same files, identify the same trials and draw the same multisines: once suffices."""
+    read, identify, lower = armperturb.import_recording, armperturb.identify, multisine.reduce_crest
+    recordings, identified, lowered = {}, {}, {}
 
     def read_once(paths, *, sidecar=None):
         key = (*(Path(path).resolve() for path in paths), sidecar)
@@ -41,9 +42,16 @@ def each_once():
             identified[key] = recording, identify(recording, model)  # which keeps the recording, and so its id
         return identified[key][1]
 
+    def lower_once(*arrays):
+        key = b"".join(array.tobytes() for array in arrays)
+        if key not in lowered:
+            lowered[key] = lower(*arrays)
+        return lowered[key].copy()
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(armperturb, "import_recording", read_once)
         patch.setattr(armperturb, "identify", identify_once)
+        patch.setattr(multisine, "reduce_crest", lower_once)
         yield
 
 
@@ -84,8 +92,9 @@ def test_pictures_of_the_documentation_are_small():
 
 
 @pytest.fixture
-def tutorial():
-    """What the cells of a tutorial print when it runs, as one text."""
+def tutorial(monkeypatch):
+    """What the cells of a tutorial print when it runs, as one text; its figures are made, but not drawn."""
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda *_, **__: None)
     return lambda name: "".join(output.text for output in MAKE["run"](name))
 
 
