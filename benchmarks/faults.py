@@ -300,7 +300,7 @@ def laboratory(folder: Path, *, with_study: bool) -> None:
     assert run(["convert", "foreign.csv", "--out", "r.nc"])[0] == 0
     shutil.copy("foreign.csv", "bare.csv")
     RELAX.save("person.toml")
-    save_perturbation(Multisine.draw(seed=0, rms=2.0), "push.csv", 200.0)
+    save_perturbation(Multisine.draw(seed=0, rms=2.0, crested=False), "push.csv", 200.0)
     short_protocol(folder / "short.toml")
     if not with_study:
         return

@@ -255,11 +255,17 @@ def _in_a_fork(make: Callable[[], Any]) -> None:
         raise RuntimeError("the files cannot be made")
 
 
-def _warm(cases: list[Case]) -> None:
-    """Import what the cases need, so that forked processes need not; those that draw are left out."""
-    for library in ("h5py", "h5netcdf", "ezc3d", "armperturb.study.report.report", "armperturb.envs.render.video"):
+def _import_for(cases: list[Case]) -> None:
+    """Import what the cases need, so that forked processes need not."""
+    commands = {case.run[0] for case in cases if isinstance(case.run, list)}
+    of_commands = {"report": "armperturb.study.report.report", "video": "armperturb.envs.render.video"}
+    for library in ("h5py", "h5netcdf", "ezc3d", *(of_commands[name] for name in of_commands if name in commands)):
         if find_spec(library):
             importlib.import_module(library)
+
+
+def _warm(cases: list[Case]) -> None:
+    """Run what the cases run, so that forked processes find it imported; those that draw are left out."""
     with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
         for case in cases:
             if isinstance(case.run, list) and case.run[0] not in ("report", "video"):
@@ -276,6 +282,7 @@ def fuzz(names: list[str], runs: int, seed: int = 0) -> dict[str, Counter[str]]:
     """
     rng, ends = random.Random(seed), {name: Counter[str]() for name in names}
     here = Path.cwd()
+    _import_for([CASES[each] for each in names])
     with tempfile.TemporaryDirectory() as name:
         whole, now = Path(name) / "whole", Path(name) / "now"
         whole.mkdir()

@@ -72,6 +72,7 @@ def rows(path):
 
 
 @pytest.mark.slow(reason="simulates trials and fits them")
+@pytest.mark.usefixtures("blank_pictures")
 def test_a_search_that_is_interrupted_goes_on_and_writes_what_it_found(path, capsys, monkeypatch):
     out, save = path.parent / "out", estimate.save_position
     with monkeypatch.context() as patch:

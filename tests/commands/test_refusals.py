@@ -103,6 +103,7 @@ def test_a_response_needs_no_lengths_and_the_manipulator_is_printed(folder, tmp_
 
 
 @pytest.mark.slow(reason="tries all structures on a recording")
+@pytest.mark.usefixtures("blank_pictures")
 def test_two_commands_lead_from_files_to_parameters_page_and_ellipse(tmp_path, capsys):
     setup = replace(SETUP, n_trials=3, lines="clusters")
     files = []
