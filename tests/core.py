@@ -12,6 +12,7 @@ from pathlib import Path
 DATA = Path(__file__).parents[1] / "examples" / "data"
 LIBRARIES = {"mujoco", "numba", "loky", "filelock", "gymnasium", "dm_control", "mediapy", "ezc3d", "joblib"}
 POSIX = {"fcntl", "resource"}
+XARRAYS = {"dask", "distributed"}  # looks for them itself, and imports them where they are, which takes long
 
 
 class Hidden(MetaPathFinder):
@@ -26,6 +27,7 @@ def hide():
     for name in (LIBRARIES | POSIX) & set(sys.modules):
         del sys.modules[name]
     sys.meta_path.insert(0, Hidden())
+    sys.modules.update(dict.fromkeys(XARRAYS))
     del signal.pthread_sigmask
 
 
