@@ -100,6 +100,7 @@ def test_each_ends_in_one_line(whole, tmp_path, capfd, monkeypatch, command, nam
     assert not list(tmp_path.glob("o*"))
 
 
+@pytest.mark.slow(reason="a child process")
 def test_python_is_guarded_as_well(whole, tmp_path):
     path = tmp_path / "S01.nc"
     path.write_bytes(whole)

@@ -45,7 +45,16 @@ def assert_is_the_laboratory(recording):
         np.testing.assert_allclose(recording[name].values, truth(name), atol=1e-9)
 
 
-@pytest.mark.parametrize(("header", "by_hand"), list(zip(HEADERS, [False, True, False, True, True], strict=True)))
+TIRING = pytest.mark.slow(reason="each reads a table three times")
+
+
+@pytest.mark.parametrize(
+    ("header", "by_hand"),
+    [
+        pytest.param(header, by_hand, marks=() if number < 2 else TIRING)
+        for number, (header, by_hand) in enumerate(zip(HEADERS, [False, True, False, True, True], strict=True))
+    ],
+)
 def test_a_table_with_ordinary_names_works_as_it_is(tmp_path, header, by_hand):
     path = tmp_path / "S07_position.csv"
     path.write_text(as_text(as_laboratory(HEADERS[header], by_hand), header.split(",")))

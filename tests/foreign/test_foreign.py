@@ -191,6 +191,7 @@ def test_a_child_process_stays_until_it_refuses_or_dies(recording_file, tmp_path
     assert waiting() == set()
 
 
+@pytest.mark.slow(reason="a child process for each thread")
 def test_threads_read_at_the_same_time(recording_file):
     with ThreadPoolExecutor(3) as pool:
         contents = list(pool.map(read_foreign, [recording_file] * 4))

@@ -328,7 +328,7 @@ def pushed(force):
 
 @pytest.mark.parametrize("reward", ["bounded", "cost"])
 def test_the_limit_of_the_workspace_terminates_and_the_end_truncates(reward):
-    env = armperturb.load_dm_env(RELAX_TASK, environment=NARROW, reward=reward)
+    env = armperturb.load_dm_env(RELAX_TASK, environment=NARROW, reward=reward, perturbation="pulse")
     last = {}
     for force in (20.0, 0.1):
         env.task.choose(trial=pushed(force))

@@ -18,7 +18,7 @@ LEVELS = np.array([[0.6, 1.3, 0.9], [1.5, 0.4, 0.0], [0.2, 1.1, 2.0]])
 def test_an_agent_that_keeps_to_its_levels_is_this_subject(task):
     settings = {"task": task, "noise": False, "torque": False, "highest_level": 2.0, "activation_time": 0.0}
     subject = subject_at(TaskSettings(**settings), LEVELS)
-    trial = Trial(subject=subject, perturbation=Multisine.draw(seed=3, rms=2.0, duration=1.5))
+    trial = Trial(subject=subject, perturbation=Multisine.draw(seed=3, rms=2.0, duration=1.5, crested=False))
     recorded = run_experiment([trial], rate=50.0)["displacement"].values[0]
     env = gym.make_vec("ArmPerturb/Position-v1", num_envs=1, autoreset_mode="Disabled", **settings)
     env.reset(options={"trial": Trial(subject=TaskSettings(**settings).subject, perturbation=trial.perturbation)})
