@@ -96,10 +96,17 @@ def as_text(values, columns=COLUMNS, delimiter=",", decimal="."):
     return delimiter.join(columns) + "\n" + text.replace(".", decimal)
 
 
+@lru_cache(maxsize=1)
+def _text_of_table():
+    return as_text(table())
+
+
 def write(folder, values=None, sidecar=None, name="lab", text=None):
     """A text file and its sidecar; returns the path of the former."""
     path = folder / f"{name}.csv"
-    path.write_text(as_text(table() if values is None else values) if text is None else text, encoding="utf-8")
+    if text is None:
+        text = _text_of_table() if values is None else as_text(values)
+    path.write_text(text, encoding="utf-8")
     path.with_suffix(".json").write_text(json.dumps(meaning() if sidecar is None else sidecar))
     return path
 
