@@ -18,9 +18,10 @@ needs_gl = pytest.mark.skipif(
 def test_a_camera_that_is_left_open_says_nothing_at_exit(tmp_path):
     # dm_control ends EGL at exit, as MuJoCo does; whichever was imported last would do so first.
     code = (
-        "from armperturb.envs.render.camera import Camera\n"
+        "from armperturb.envs.render.camera import Camera, simplify\n"
         "from armperturb.models.rig import build_model\nfrom armperturb.subject import RELAX\n"
-        "camera = Camera(build_model(RELAX), width=16, height=16)\nimport armperturb.envs.learning.dm\n"
+        "model = build_model(RELAX)\nsimplify(model, 16)\n"
+        "camera = Camera(model, width=16, height=16)\nimport armperturb.envs.learning.dm\n"
         "camera.circle = camera\nprint(camera.draw().shape)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=True)
