@@ -171,18 +171,16 @@ def make_recording(
     for name, values in signals.items():
         dims, _, description = SIGNALS[name]
         units = signal_unit(name, angular=angular)
-        # Half the memory for a signal that is ten times as long as the others, and 16 bits deep at its source.
-        # In the order of its file, as sums over it round otherwise.
+        # Half the memory for EMG, which is long and 16 bits deep; in the order of its file, as sums round otherwise.
         array = np.asarray(values, dtype=np.float32 if name == "emg" else float, order="C")
         quantity = {} if servo is None or "axis" not in dims else {"quantity": QUANTITIES[units]}
         variables[name] = (("trial", *dims), array, _describe(units, description) | quantity)
-    if "emg" in variables and adc_step is not None:
-        variables["emg"][2]["adc_step"] = float(adc_step)
-    if "emg" in variables and emg_lead:
-        variables["emg"][2]["lead"] = float(emg_lead)
-    if "emg" in variables and emg_highpass is not None:
-        frequency, order = emg_highpass
-        variables["emg"][2].update(highpass=float(frequency), highpass_order=int(order))
+    if "emg" in variables:
+        known = {"adc_step": adc_step, "lead": emg_lead or None}
+        variables["emg"][2].update({name: float(value) for name, value in known.items() if value is not None})
+        if emg_highpass is not None:
+            frequency, order = emg_highpass
+            variables["emg"][2].update(highpass=float(frequency), highpass_order=int(order))
     rates = {dim: clock for dim, clock in (("time", rate), ("emg_time", emg_rate)) if clock is not None}
     sizes = xr.Dataset(variables).sizes
     if "emg" in variables and emg_rate is None:
