@@ -119,8 +119,8 @@ def test_direction_and_threshold_of_half_wave_spindles_are_found_and_chosen():
     fits = {law: fit([train], arms, model, n_pairs=0, n_pairs_of_errors=2) for law, model in models.items()}
     for name in free:
         assert fits["half-wave"].values[name] == pytest.approx(true[name], rel=0.02)
-    gain = left_out_likelihood(fits["half-wave"], [test], arms) - left_out_likelihood(fits["full"], [test], arms)
-    assert gain.min() > 5.0
+    likelihood = {law: left_out_likelihood(found, [test], arms, n_pairs=0) for law, found in fits.items()}
+    assert (likelihood["half-wave"] - likelihood["full"]).min() > 5.0
 
 
 @pytest.mark.slow(reason="simulates eight trials and fits them")
@@ -207,6 +207,10 @@ def test_a_recording_of_two_people_is_refused():
 
 
 def test_what_cannot_be_fitted_is_refused(ideal):
+    with pytest.raises(ValueError, match="fit: n_pairs = -1; expected a finite number at least 0"):
+        fit(ideal, ARMS, FEW, n_pairs=-1)
+    with pytest.raises(ValueError, match="fit: n_pairs_of_errors = 1; expected a finite number at least 2"):
+        fit(ideal, ARMS, FEW, n_pairs_of_errors=1)
     with pytest.raises(ValueError, match="no trials; expected at least one"):
         fit([], ARMS, FEW)
     with pytest.raises(ValueError, match="arms: none of the task RT; expected at least one"):
