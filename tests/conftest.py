@@ -65,9 +65,9 @@ def once(tmp_path_factory):
 
 
 def _compiled(part):
-    from armperturb.study.results.compiling import compile_fits, compile_recording
+    from armperturb.study.results.compiling import compile_fits, compile_simulations
 
-    return (lambda _: compile_recording("mujoco")) if part == "recording" else (lambda _: compile_fits())
+    return (lambda _: compile_simulations("mujoco")) if part == "simulations" else (lambda _: compile_fits())
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -75,7 +75,7 @@ def compiled_in_turns(once):
     """In a fresh checkout each of two processes compiles half of what both need, where each would compile it all."""
     number = os.environ.get("PYTEST_XDIST_WORKER", "").removeprefix("gw")
     if number and find_spec("numba"):
-        for part in sorted(("recording", "fits"), reverse=int(number) % 2 == 0):
+        for part in sorted(("simulations", "fits"), reverse=int(number) % 2 == 0):
             once(f"compiled {part}", _compiled(part))
 
 

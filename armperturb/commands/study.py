@@ -45,10 +45,10 @@ class Study(Command):
         from armperturb.study.report.report import write_report
         from armperturb.study.results.analyse import run_study
         from armperturb.study.results.cache import recalled_results
-        from armperturb.study.results.compiling import compile_fits, compile_recording
+        from armperturb.study.results.compiling import compile_fits, compile_simulations
         from armperturb.workers import kept_workers
 
-        ahead = (partial(compile_recording, self.settings.engine), compile_fits)
+        ahead = (partial(compile_simulations, self.settings.engine), compile_fits)
         shares = {"recording": RECORDING} | analysis_stages(nonlinear=bool(self.nonlinear))
         with stages(shares), recalled_results(), kept_workers(LAST_STAGE, ahead=ahead):
             result = run_study(

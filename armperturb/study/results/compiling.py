@@ -14,6 +14,7 @@ from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Pulse
+from armperturb.planar_arm.skeletal import simulate_skeletal
 from armperturb.subject import POSITION
 
 FREQUENCIES = (1.0, 2.0, 4.0)
@@ -22,12 +23,16 @@ FREQUENCIES = (1.0, 2.0, 4.0)
 DURATION = 0.1
 """Of the trial that is recorded [s]."""
 
+RATE = 200.0
+"""Of the prediction's samples [Hz]."""
 
-def compile_recording(engine: str) -> None:
-    """Record a short trial by a study's engine and by that of its practice."""
+
+def compile_simulations(engine: str) -> None:
+    """Record a short trial by a study's engine and by that of its practice, and predict it."""
     trial = Trial(subject=POSITION, perturbation=Pulse(peak=1.0, direction_deg=20.0, onset=0.0, duration=DURATION))
     for each in {engine, "compiled"}:
         run_experiment([trial], engine=each, instruments=Instruments(), n_threads=1)
+    simulate_skeletal(POSITION, Environment(), trial.perturbation.sample(RATE, round(DURATION * RATE)), RATE)
 
 
 def compile_fits() -> None:
@@ -40,7 +45,7 @@ def compile_fits() -> None:
 def main() -> None:
     """Compile both parts side by side, for studies that MuJoCo simulates."""
     with ProcessPoolExecutor(2) as pool:
-        for done in (pool.submit(compile_recording, "mujoco"), pool.submit(compile_fits)):
+        for done in (pool.submit(compile_simulations, "mujoco"), pool.submit(compile_fits)):
             done.result()
 
 
