@@ -14,9 +14,6 @@ import sys
 import time
 from pathlib import Path
 
-import matplotlib.pyplot as plt
-
-from armperturb.plots.style import save_png
 from armperturb.study.experiments.cohort_cells import measure_cohort
 from armperturb.study.recording.settings import StudySettings
 from benchmarks.study_speed import Memory, processor_time
@@ -55,6 +52,10 @@ def cost_alone(people: int, *, dask: bool = False) -> dict[str, float]:
 
 def draw(costs: list[dict[str, float]], picture: Path) -> None:
     """Each cost against people."""
+    import matplotlib.pyplot as plt  # not above: the processes that are measured draw nothing
+
+    from armperturb.plots.style import save_png
+
     figure, axes = plt.subplots(1, 3, figsize=(9.0, 2.8), layout="constrained")
     for ax, (name, label) in zip(axes, COSTS.items(), strict=True):
         values = [each[name] for each in costs]
