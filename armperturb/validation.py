@@ -153,6 +153,27 @@ def as_list(
     return several
 
 
+def as_list_of(what: str, each: str, value: Any, kind: type, expected: str, *, or_none: bool = False) -> list[Any]:
+    """What was given for one thing of a class or several, as a list in which nothing else is.
+
+    Args:
+      what: owner and field, for the message.
+      each: what one of them is, for the message.
+      value: see `as_list`.
+      kind: their class.
+      expected: see `as_list`.
+      or_none: see `as_list`.
+
+    Raises:
+      TypeError: value or one in it is something else.
+      ValueError: it holds nothing.
+    """
+    several = as_list(what, value, kind, expected, or_none=or_none)
+    for one in several:
+        require_type(each, one, kind, f"a {kind.__name__}")
+    return several
+
+
 def _on_one_line(value: object) -> str:
     """The start of a value's representation, whatever it is."""
     return f"{' '.join(repr(value).split()):.60}"

@@ -72,7 +72,7 @@ def _compiled(part):
 
 @pytest.fixture(scope="session", autouse=True)
 def compiled_in_turns(once):
-    """In a fresh checkout each of two processes compiles half of what both need, where each would compile it all."""
+    """After a change of compiled code each of two processes compiles half of what both need, not each of them all."""
     number = os.environ.get("PYTEST_XDIST_WORKER", "").removeprefix("gw")
     if number and find_spec("numba"):
         for part in sorted(("simulations", "fits"), reverse=int(number) % 2 == 0):

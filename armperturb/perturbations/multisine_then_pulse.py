@@ -24,7 +24,7 @@ class MultisineThenPulse:
       fade: time from the pulse's onset until the multisine is gone [s], > 0, inside the trial.
 
     Raises:
-      TypeError: a part is none, or fade is not a number.
+      TypeError: multisine is no `Multisine`, pulse no `Pulse`, or fade no number.
       ValueError: fade is out of its range.
     """
 

@@ -106,7 +106,7 @@ def save_perturbation(perturbation: Perturbation, path: str | Path, rate: float)
       rate: samples per second [Hz], > 0.
 
     Raises:
-      TypeError: perturbation is none.
+      TypeError: perturbation is no `Perturbation`, or rate no number.
       ValueError: rate is not positive or gives fewer than 2 samples.
       OSError: the file cannot be written.
     """

@@ -128,7 +128,7 @@ def activity(envelopes: Envelopes, limit: float | None = None) -> Activity:
         `RELAXED_OF_LOUDEST` without a maximal contraction.
 
     Raises:
-      TypeError: envelopes are none.
+      TypeError: envelopes are no `Envelopes`.
     """
     require_type("activity: envelopes", envelopes, Envelopes, "those of armperturb.envelopes")
     if limit is None:

@@ -31,7 +31,7 @@ from armperturb.analysis.emg.reflex import rotation, rows_of
 from armperturb.analysis.results import Description, Result, Table
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array, Indices
-from armperturb.validation import as_list, require_type
+from armperturb.validation import as_list_of, require_type
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -129,12 +129,13 @@ def onsets(trials: Sequence[ConditionTrials], envelopes: Envelopes) -> Onsets:
       envelopes: of all the person's trials.
 
     Raises:
-      TypeError: trials or envelopes are none.
+      TypeError: trials are no `ConditionTrials`, or envelopes no `Envelopes`.
       ValueError: no trial has a pulse at `EARLIEST` or later, the envelopes hold other trials of a condition, or
         neither joint angles nor the posture are known.
     """
     require_type("onsets: envelopes", envelopes, Envelopes, "those of armperturb.envelopes")
-    trials = as_list("onsets: trials", trials, ConditionTrials, "trials of conditions, e.g. of ConditionTrials.prepare")
+    expected = "trials of conditions, of ConditionTrials.prepare"
+    trials = as_list_of("onsets: trials", "onsets: trials of a condition", trials, ConditionTrials, expected)
     rate, names = envelopes.rate, list(envelopes.muscles)
     power, moved, starts, directions = [], [], [], []
     latest = -math.inf

@@ -160,7 +160,7 @@ def reflexes(trials: ConditionTrials, envelopes: Envelopes, *, window_start: flo
       window_start: when the transient of the perturbation has died away [s].
 
     Raises:
-      TypeError: trials or envelopes are none.
+      TypeError: trials are no `ConditionTrials`, or envelopes no `Envelopes`.
       ValueError: no trial is long enough, or together they are too short; a joint does not turn; the envelopes hold
         other trials of the condition; or neither joint angles nor the posture are known.
     """

@@ -22,7 +22,7 @@ class UseOfEmg:
       delay: what is known of the electromechanical delay.
 
     Raises:
-      TypeError: one is something else.
+      TypeError: envelopes are no `Envelopes`, or delay no `ElectromechanicalDelay`.
     """
 
     envelopes: Envelopes

@@ -200,7 +200,6 @@ class Whittle:
         # A search weighs where another one began or ended: without unknowns that says nothing new.
         if self._unknown is None and self._weighed_at == (values.shape, values.tobytes()):
             return
-        self._weighed_at = values.shape, values.tobytes()
         mean = values if values.ndim == 1 else values.mean(axis=0)
         to_force, n = self._to_smooth(mean), self._n_outputs
         answers = to_force[..., self._answering]
@@ -229,6 +228,7 @@ class Whittle:
         self._white = np.sqrt(2.0) * whitened(covariance, answers)
         if self._unknown is not None:
             self._span = orthonormal(applied_rows(self._white, self._unknown))
+        self._weighed_at = values.shape, values.tobytes()
 
     def _without_unknowns(self, values: Array) -> tuple[ComplexArray, Array | None]:
         """The residual without what is unknown of each trial, as far as the noise is known yet, and its share in that.

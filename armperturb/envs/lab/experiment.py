@@ -30,7 +30,7 @@ from armperturb.envs.lab.trial import (
 from armperturb.perturbations import Perturbation, check_bandwidth
 from armperturb.recording import MUSCLES, HighPass, make_recording
 from armperturb.subject import Subject
-from armperturb.validation import as_list, require_number, require_type, require_whole
+from armperturb.validation import as_list_of, require_number, require_whole
 
 
 def run_experiment(
@@ -82,9 +82,7 @@ def run_experiment(
         rates that do not fit.
       RuntimeError: MuJoCo could not integrate a trial that stayed inside the workspace.
     """
-    trials = as_list("trials", trials, Trial, "Trials")
-    for trial in trials:
-        require_type("run_experiment: a trial", trial, Trial, "a Trial")
+    trials = as_list_of("trials", "run_experiment: a trial", trials, Trial, "Trials")
     require_whole("run_experiment", "n_threads", n_threads, at_least=0)
     setup = Setup(
         environment=Environment() if environment is None else environment,

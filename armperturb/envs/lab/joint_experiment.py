@@ -20,7 +20,7 @@ from armperturb.envs.lab.simulation import silent_simulator
 from armperturb.joint_person import JointPerson, Servo
 from armperturb.models.joint_rig import JOINT_TIMESTEP, build_joint_model
 from armperturb.recording import make_recording
-from armperturb.validation import as_list, require_number, require_type
+from armperturb.validation import as_list_of, require_number, require_type
 
 LARGEST_ANGLE = 3.0
 """Angle from the posture beyond which a simulation counts as diverged [rad]."""
@@ -49,7 +49,7 @@ class JointTrial:
       repetition: of the condition.
 
     Raises:
-      TypeError: person is no `JointPerson`, or a number is none.
+      TypeError: person is no `JointPerson`, or noise or its cut-off no number.
       ValueError: a series is of the wrong length or not finite, or a number is out of its range.
     """
 
@@ -107,14 +107,13 @@ def run_joint_experiment(
       [Nm] of a force servo, and `scheduling` [rad] where a trial has a `neutral` angle.
 
     Raises:
-      TypeError: a trial or the servo is none.
+      TypeError: a trial is no `JointTrial`, or servo no `Servo`.
       ValueError: no trials, trials of several joints or lengths, a delay below two steps, or rates that do not fit.
       RuntimeError: a joint diverged, as with too much feedback.
     """
-    trials = as_list("run_joint_experiment: trials", trials, JointTrial, "a JointTrial, or several")
-    for trial in trials:
-        require_type("run_joint_experiment: a trial", trial, JointTrial, "a JointTrial")
-    require_type("run_joint_experiment: servo", servo, Servo, "a Servo")
+    owner = "run_joint_experiment"
+    trials = as_list_of(f"{owner}: trials", f"{owner}: a trial", trials, JointTrial, "a JointTrial, or several")
+    require_type(f"{owner}: servo", servo, Servo, "a Servo")
     kinds = {(trial.person.joint, np.size(trial.perturbation)) for trial in trials}
     if len(kinds) > 1:
         several = " and ".join(f"{joint}, {length} samples" for joint, length in sorted(kinds))

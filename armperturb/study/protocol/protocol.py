@@ -19,7 +19,7 @@ from armperturb.foreign import LARGEST
 from armperturb.perturbations import Multisine, MultisineThenPulse, Perturbation, Pulse, Rest, draw_onset
 from armperturb.seeds import random_stream, trial_seed
 from armperturb.study.protocol.condition import PULSE_UNIT, Condition, PlannedTrial, numbers, require_different
-from armperturb.validation import as_list, require_keys, require_one_of, require_ranges, require_type
+from armperturb.validation import as_list_of, require_keys, require_one_of, require_ranges, require_type
 
 Made = TypeVar("Made")
 
@@ -71,11 +71,11 @@ class Protocol:
 
     def __post_init__(self) -> None:
         owner = "protocol"
-        conditions = as_list(f"{owner}: conditions", self.conditions, Condition, "Conditions", or_none=True)
+        conditions = as_list_of(
+            f"{owner}: conditions", f"{owner}: a condition", self.conditions, Condition, "Conditions", or_none=True
+        )
         if not conditions:
             raise ValueError(f"{owner}: conditions = []; expected at least one")
-        for condition in conditions:
-            require_type(f"{owner}: a condition", condition, Condition, "a Condition")
         object.__setattr__(self, "conditions", tuple(conditions))
         require_different(owner, "conditions", [condition.name for condition in self.conditions])
         require_one_of(owner, "forces", self.forces, FORCES)

@@ -72,6 +72,12 @@ def test_trials_without_pulses_are_refused():
         onsets([ConditionTrials.prepare(recording)], envelopes(recording))
 
 
+def test_what_are_no_trials_is_refused():
+    recording = recorded(noise((2, 2, N)))
+    with pytest.raises(TypeError, match=r"onsets: trials of a condition = .*; expected a ConditionTrials$"):
+        onsets([recording], envelopes(recording))
+
+
 def test_pulses_that_come_too_early_are_not_said_to_be_missing():
     recording = recorded(noise((2, 2, N)), pulse_onset=[0.1, 0.2], pulse_direction=[20.0] * 2)
     with pytest.raises(ValueError, match=r"the latest pulse of RT7.5 comes after 0.2 s; expected some after 0.23 s"):

@@ -135,7 +135,7 @@ def made():
 
 made().close()
 before = used()
-envs = [made() for _ in range(4)]
+envs = [made() for _ in range(10)]
 while envs:
     envs.pop().close()
 together = used() - before
@@ -182,13 +182,13 @@ def process(once):
     return once("drawing process", run)
 
 
-@pytest.mark.slow(reason="opens nine contexts")
+@pytest.mark.slow(reason="opens fifteen contexts")
 @needs_gl
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_memory_comes_back(process):
     together, one_by_one, again, anew = map(float, " ".join(process[0][:2]).split())  # MB
-    assert together < 6.0
-    assert one_by_one < 1.0  # what four contexts may keep once four others have filled the caches
+    assert together < 10.0
+    assert one_by_one < 1.0  # what four contexts may keep once ten others have filled the caches
     assert again < 0.2  # 2 kB for each of 100 resets
     assert anew < 1.5  # 7.5 kB for each of 200 people who are not known yet; some are kept
 
@@ -360,7 +360,7 @@ def test_a_window_that_does_not_open_leaves_no_error_behind(headless):
     headless.setenv("MUJOCO_GL", "glfw")
     with pytest.raises(RuntimeError, match=r"MUJOCO_GL=glfw: no display; a window library needs a display"):
         gl.new_context(8, 8)
-    gc.collect(1)  # what is young
+    gc.collect()
     assert freed == [None]
 
 
