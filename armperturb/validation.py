@@ -169,8 +169,8 @@ def as_list_of(what: str, each: str, value: Any, kind: type, expected: str, *, o
       ValueError: it holds nothing.
     """
     several = as_list(what, value, kind, expected, or_none=or_none)
-    for one in several:
-        require_type(each, one, kind, f"a {kind.__name__}")
+    for item in several:
+        require_type(each, item, kind, f"a {kind.__name__}")
     return several
 
 
