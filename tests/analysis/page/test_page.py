@@ -35,10 +35,18 @@ ROOT = Path(armperturb.__file__).parents[1]
 LEAST_CONTRAST = 4.5  # of small text, WCAG 2 level AA
 
 
+AS_MODEL_1 = Arm(centre=(0.5, 0.5), gyration=(0.0, 0.0), grip=(5000.0, 50.0))
+"""Two conditions of an arm that no parameters of the model fit are searched together for long."""
+
+
+def multisines(arm):
+    still = Setup(arm=arm, seed=3, n_trials=3, duration=20.0, linear=True)
+    return recording_of(still, *still.record())
+
+
 def session():
     """Two conditions of one person: three multisines, and the same with a pulse at the end."""
-    still = Setup(arm=Arm(), seed=3, n_trials=3, duration=20.0, linear=True)
-    first = recording_of(still, *still.record())
+    first = multisines(AS_MODEL_1)
     second = first.assign_coords(
         condition=("trial", ["pulsed"] * 3),
         pulse_onset=("trial", [17.0] * 3),
@@ -270,9 +278,10 @@ def test_a_force_that_is_late_or_too_large_is_found_in_the_trials(identified):
         assert check.skew.time == pytest.approx(0.0 if kind == "gain" else 1 / check.rate, abs=1e-5)
 
 
-def test_causes_come_in_order_with_what_the_data_say(identified):
-    results, trials = identified
-    part = trials["multisine"]
+@pytest.mark.slow(reason="identifies an arm that the model does not fit")
+def test_causes_come_in_order_with_what_the_data_say():
+    trials = parts_by_condition(multisines(Arm()))
+    results, part = identify_conditions(trials, "1"), trials["multisine"]
     check = check_data(part, 8.0)
     distortion = best_linear(part)
     causes = likely_causes(results["multisine"], check, diagnose(results["multisine"], part), distortion)
