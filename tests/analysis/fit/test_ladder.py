@@ -76,7 +76,7 @@ def test_a_structure_is_found_where_its_usual_starts_lead_astray(example):
 @pytest.mark.slow(reason="fits many structures to long trials")
 def test_neighbours_are_searched_again_from_a_structure_that_was_found_late():
     """The first searches of this arm, of the richest structure and from it, all end in the wrong place."""
-    setup = draw_foreign(731, rate=100.0, linear=True)
+    setup = draw_foreign(731, n_trials=3, rate=100.0, linear=True)
     choice = choose_structure(Group.prepare(setup.recording(), composed()))
     assert choice.chosen[:3] == ("free", setup.truth["grip"], setup.truth["reflex"])
     assert not choice.estimate.is_suspicious
