@@ -258,6 +258,7 @@ class RecordLikelihood(Likelihood):
             before = np.arange(self._n_padded) - self._n_padded
             knots = -np.array(PAST[::-1]) * rate
             bumps = np.array([np.interp(before, knots, bump, left=0.0) for bump in np.eye(len(knots))[1:]])
+            bumps = bumps[bumps.any(axis=1)]  # slow samples pass over the narrowest
             self._past = fft.rfft(bumps, self._n_padded, axis=-1)[:, : len(fine)] * whitening(fine, rate)
             ramp = np.linspace(-1.0, 1.0, force.shape[-1])
             self._drift = self._spectrum(np.stack([np.ones_like(ramp), ramp]))

@@ -46,6 +46,14 @@ def test_any_excitation_tells_the_arm(kind, amid):
     assert not found.is_suspicious
 
 
+@pytest.mark.parametrize("rate", [25.0, 40.0, 50.0])
+def test_slow_samples_tell_the_arm_amid_movement(rate):
+    options = {**QUICK, "rate": rate, "kind": "multisine", "n_trials": 2, "duration": 12.0, "period": 5.0}
+    setup = draw_foreign(3, amid=True, top=8.0, **options)
+    found = estimated(setup)
+    assert np.abs(scores(found, setup.truth)).max() < 4.0
+
+
 @pytest.mark.slow(reason="simulates and fits foreign arms")
 def test_records_may_differ_in_length():
     long, short = (draw_foreign(3, kind="noise", n_trials=2, duration=duration, **QUICK) for duration in (12.0, 8.0))
