@@ -59,7 +59,7 @@ if TYPE_CHECKING:
 
 Impedance = Callable[[Array], ComplexArray]
 
-ORDER = {1: 0, 2: 1, 3: 1}
+ORDER = {1: 0, 2: 1}
 """Number of trials to the order of the response's polynomial over a cluster; `HIGHEST_ORDER` of more trials."""
 
 LARGEST_ERROR = 0.3

@@ -1,5 +1,8 @@
 """Noise and distortion apart, against signals in which both are known."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -9,6 +12,10 @@ from armperturb.analysis.response.best_linear import best_linear
 from armperturb.analysis.results import LINES
 from armperturb.plots.style import new_figure
 from armperturb.recording import make_recording
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+
+from foreign_recordings import Arm, Setup
 
 FREQUENCY = np.fft.rfftfreq(N_PERIOD, 1.0 / RATE)
 LOAD = np.concatenate([np.zeros((1, 2, 2), complex), TRUE["arm"](FREQUENCY[1:])])
@@ -82,6 +89,15 @@ def test_nearly_without_noise_a_linear_load_is_linear(n_trials, duration, noise)
     assert abs(found.statistic) < 1.96
     assert np.mean(np.abs(found.distortion) <= 1.96 * found.distortion_error) > 0.85
     assert np.all(np.abs(found.share) < 1e-5)
+
+
+@pytest.mark.slow(reason="simulates foreign arms")
+@pytest.mark.parametrize("n_trials", [3, 4])
+def test_a_linear_arm_that_holds_the_handle_firmly_is_linear(n_trials):
+    """Its stiff grip bends the response within a cluster."""
+    arm = Arm(grip=(5000.0, 50.0))
+    setups = [Setup(arm=arm, n_trials=n_trials, duration=40.0, linear=True, seed=seed) for seed in range(3, 6)]
+    assert min(best_linear(setup.recording()).p_value for setup in setups) > 0.01
 
 
 @pytest.mark.slow(reason="repeats estimates on drawn records")
