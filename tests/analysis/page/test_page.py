@@ -36,7 +36,7 @@ LEAST_CONTRAST = 4.5  # of small text, WCAG 2 level AA
 
 
 AS_MODEL_1 = Arm(centre=(0.5, 0.5), gyration=(0.0, 0.0), grip=(5000.0, 50.0))
-"""Two conditions of an arm that no parameters of the model fit are searched together for long."""
+"""An arm that model 1 can be. One that it cannot takes a long search where two conditions share parameters."""
 
 
 def multisines(arm):
