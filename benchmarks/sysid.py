@@ -3,15 +3,15 @@
 Run by `python -m benchmarks.sysid`; about half a minute. It needs more than the package: pip install "mujoco[sysid]".
 
 A relaxed person without a muscle law (model 1: stiffness and damping of the three muscle groups, masses, grip) is held
-by a handle that a multisine moves for some seconds. MuJoCo simulates the truth with a step of 1 ms; white noise is
-added to the displacement of the handle. Both sides minimise the same sum of squares: displacement of the handle, x and
+by a handle that a multisine moves for some seconds. The laboratory simulates the truth; white noise is added to the
+displacement of the handle. Both sides minimise the same sum of squares: displacement of the handle, x and
 y each over its own norm, without weights, from the same start 30 % off:
 
 - sysid compiles an MJCF model per parameter change, rolls it out and takes finite differences of parameters;
 - ours steps lanes of compiled equations of motion and takes finite differences of their logarithms (`least_squares` of
   scipy).
 
-Both step by 2.5 ms on one core. An evaluation is one simulation of the record by one set of parameters, time is that of
+Both step by 0.5 ms on one core. An evaluation is one simulation of the record by one set of parameters, time is that of
 the processor, and both costs are ours, so that they may be compared.
 """
 
@@ -31,15 +31,17 @@ from armperturb.cohort import draw_person
 from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
-from armperturb.models.rig import ANGLE_SENSORS, BIARTICULAR, GRIP, REFLEXES, SLIDES, STRAIN_GAUGE, build_spec
+from armperturb.models.rig import ANGLE_SENSORS, BIARTICULAR, GRIP, KNOWN, REFLEXES, SLIDES, STRAIN_GAUGE, build_spec
 from armperturb.perturbations import Multisine
 from armperturb.planar_arm.lanes import lane_table
-from armperturb.planar_arm.simulation import STEP, Disturbances
+from armperturb.planar_arm.simulation import Disturbances
 from armperturb.subject import Subject
 
 Array = NDArray[np.float64]
 
 FORCE, SECONDS, RATE = 5.0, 8.0, 200.0
+STEP = 5e-4
+"""Of both simulations [s]: short, as sysid holds the force over each."""
 NOISE = 1e-4
 """SD of white noise on the displacement of the handle [m]."""
 
@@ -147,9 +149,9 @@ def write(spec: mujoco.MjSpec, name: str, value: float) -> None:
 
 
 def handle_spec(subject: Subject) -> mujoco.MjSpec:
-    """The rig with motors that push the handle, without the reflexes' motors, and with no sensor but the handle's."""
-    spec = build_spec(subject, ENVIRONMENT, timestep=STEP, visual=False)
-    for element in (*map(spec.actuator, REFLEXES), *map(spec.sensor, (*ANGLE_SENSORS, STRAIN_GAUGE))):
+    """The rig whose motors push the handle at once and do nothing else, and with no sensor but the handle's."""
+    spec = build_spec(subject, ENVIRONMENT, timestep=STEP, rope="ideal", strap=None, visual=False)
+    for element in (*map(spec.actuator, (*REFLEXES, *KNOWN)), *map(spec.sensor, (*ANGLE_SENSORS, STRAIN_GAUGE))):
         spec.delete(element)
     for name in SLIDES:
         motor = spec.add_actuator(name=f"push_{name}", target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)

@@ -1,13 +1,22 @@
 """People and what they hold as rows of a table that compiled code can read: one lane per person and trial."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from armperturb.arrays import Array
-from armperturb.controllers.lanes import PARTS, Table, control_columns, control_memory, history_of, table_of
+from armperturb.controllers.lanes import (
+    PARTS,
+    Table,
+    control_columns,
+    control_memory,
+    elastic_limit_shape,
+    history_of,
+    table_of,
+)
 from armperturb.environment import Environment
+from armperturb.muscle_law import MuscleLaw
 from armperturb.subject import Subject
 
 GROUP = 8
@@ -83,3 +92,27 @@ def lane_columns(
     columns["grouped"] = columns["lawful"] * grouped
     columns["lawful"] = columns["lawful"] * ~grouped
     return columns
+
+
+def divisions(lanes: Table, laws: Sequence[MuscleLaw | None], n: int, numbers: Iterable[int]) -> Iterator[Table]:
+    """Tables of the same people, each with every n-th elastic limit of muscles that have `n` times as many parts.
+
+    All `n` tables together have all of these limits; those of a pair, 0 and 1, 2 and 3 and so on, mirror each other.
+
+    Args:
+      lanes: people whose muscles have equally many parts.
+      laws: of their muscles, whose elements have one spread of the elastic limits.
+      n: how many tables there are.
+      numbers: which of them are wanted.
+    """
+    spreads = np.array([law.of_elements("elastic_limit_spread")[0] if law else 0.0 for law in laws])
+    parts = next((law.parts for law in laws if law), 1)
+    known, kind = np.unique(spreads, return_inverse=True)
+    shapes = np.array([elastic_limit_shape(spread, parts * n).reshape(parts, n) for spread in known])
+    for number in numbers:
+        first = number // 2 if number % 2 == 0 else n - 1 - number // 2
+        table = lanes.copy()
+        for name in ("limit", "limit_slope"):
+            mean = lanes[name][:, :, :parts].mean(axis=2, keepdims=True)
+            table[name][:, :, :parts] = mean * shapes[kind, None, :, first]
+        yield table

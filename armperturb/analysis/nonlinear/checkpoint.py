@@ -9,7 +9,7 @@ from armperturb.analysis.nonlinear.problem import Problem
 from armperturb.analysis.nonlinear.search import Position
 from armperturb.archive import read_archive, write_archive
 
-VERSION = 4
+VERSION = 5
 """Of the search: raised when a position that an earlier one has saved is none of this one's."""
 
 

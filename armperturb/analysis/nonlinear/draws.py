@@ -115,7 +115,10 @@ def run_away(alike: Sequence[Array]) -> bool:
 def is_borne(problem: Problem, state: State, draws: NoiseDraws) -> bool:
     """Whether no arm runs away in the presence of any draw."""
     most = WILD * problem.sensitivity(state)
-    return all(bool((problem.sensitivity(state, pair) <= most).all()) for pair in problem.disturbed(draws))
+    return all(
+        bool((problem.sensitivity(state, pair, first=2 * number, n_divisions=2 * draws.n_pairs) <= most).all())
+        for number, pair in enumerate(problem.disturbed(draws))
+    )
 
 
 def borne(problem: Problem, state: State, draws: NoiseDraws) -> NoiseDraws:
@@ -126,8 +129,9 @@ def borne(problem: Problem, state: State, draws: NoiseDraws) -> NoiseDraws:
     Args:
       problem: what is fitted.
       state: of the unknowns.
-      draws: as they come.
+      draws: as they come; the same object is returned if the arm bears them all.
     """
+    before = draws
     attempts = draws.attempted(problem.n_trials).copy()
     most = WILD * problem.sensitivity(state)
     unchecked = {pair: np.arange(problem.n_trials) for pair in range(draws.n_pairs)}
@@ -135,10 +139,31 @@ def borne(problem: Problem, state: State, draws: NoiseDraws) -> NoiseDraws:
         draws = draws._replace(attempts=attempts.copy())
         for pair, disturbances in zip(sorted(unchecked), problem.disturbed(draws, unchecked), strict=True):
             trials = unchecked[pair]
-            is_wild = problem.sensitivity(state, disturbances, trials) > most[trials]
+            divided = {"first": 2 * pair, "n_divisions": 2 * draws.n_pairs}
+            is_wild = problem.sensitivity(state, disturbances, trials, **divided) > most[trials]
             unchecked[pair] = trials[is_wild & (attempts[pair, trials] < MOST_ATTEMPTS)]
             attempts[pair, unchecked[pair]] += 1
         unchecked = {pair: trials for pair, trials in unchecked.items() if len(trials)}
+    return before if np.array_equal(attempts, before.attempted(problem.n_trials)) else draws
+
+
+def borne_ahead(problem: Problem, here: State, ahead: State, draws: NoiseDraws) -> NoiseDraws:
+    """Draws, some of them drawn anew, with which the arm runs away neither ahead nor here.
+
+    Where it runs away ahead whatever the noise is, the noise is not to blame: the draws stay as they are.
+
+    Args:
+      problem: predicts with the draws from now on.
+      here: where a search is.
+      ahead: where it would go.
+      draws: that the problem predicts with; the same object is returned if they stay.
+    """
+    other = borne(problem, ahead, draws)
+    if other is not draws:
+        problem.predict_with(other)
+        if np.isfinite(problem.predict([here, ahead])).all():
+            return other
+        problem.predict_with(draws)
     return draws
 
 

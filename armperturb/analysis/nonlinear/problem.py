@@ -115,9 +115,9 @@ class Problem(SimulatedTrials):
         of_movement = float(np.sum(self.costs(state, predicted) + self.log_determinants(state)))
         return of_movement + self._emg.objective(self._reflexes(state))
 
-    def slopes(self, state: State, *, noisy: bool = False) -> list[Array]:
+    def slopes(self, state: State, *, noisy: bool = False, smooth: bool = False) -> list[Array]:
         """Derivatives of white predictions, see `derivatives`: of each trial (parameters and own effects, number)."""
-        derivatives, slopes = self.derivatives(state, noisy=noisy), []
+        derivatives, slopes = self.derivatives(state, noisy=noisy, smooth=smooth), []
         for rows, noise in zip(self.rows, self.noises, strict=True):
             slopes += [noise.white(of_trial) for of_trial in derivatives[rows]]
         return slopes

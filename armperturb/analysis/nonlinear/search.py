@@ -19,6 +19,7 @@ import numpy as np
 from scipy import linalg
 
 from armperturb.analysis.nonlinear.draws import (
+    borne_ahead,
     inverse_of_mixed,
     mixed_information,
     predict_with_noise,
@@ -159,10 +160,10 @@ class Search:
         if self._at.stage == "drawn-anew":
             self._approach()
             self._enter("final", self._at.draws)
-        self._calmed(self._at.state)
+        self._calmed()
         for _ in range(MOST_CALMED):
             message, slopes = self._finish()
-            if not self._calmed(self._at.state):
+            if not self._calmed():
                 break
             self._at = replace(self._at, n_references=0)
         return self._at, message, slopes
@@ -211,16 +212,13 @@ class Search:
         problem = self._problem
         while True:
             predicted = problem.predict([self._at.reference])[0]
-            # Noise that was drawn anew for where the search would go may make the arm run away where it is.
-            if not np.isfinite(predicted).all() and self._calmed(self._at.reference):
-                predicted = problem.predict([self._at.reference])[0]
             if not np.isfinite(predicted).all():
                 raise ValueError(
                     "nonlinear fit: the arm runs away under the person's noise where the search has come to; expected "
                     "trials that tell of a stable arm (more of them, or --law short-range or linear)"
                 )
             problem.weigh(self._at.reference, problem.residual(predicted))
-            slopes = problem.slopes(self._at.reference)
+            slopes = problem.slopes(self._at.reference, smooth=True)
             if self._distance():
                 predicted = problem.predict([self._at.state])[0]
             message = self._descend(slopes, predicted, is_last=self._at.n_references >= MAX_REFERENCES)
@@ -229,16 +227,19 @@ class Search:
             self._at = replace(self._at, reference=self._at.state, n_references=self._at.n_references + 1)
             self._keep()
 
-    def _calmed(self, at: State) -> bool:
-        """Whether there was noise with which an arm runs away at a state; it is drawn anew."""
-        before = self._at.draws
-        if before is None:
-            return False
-        draws = predict_with_stable_noise(self._problem, at, before)
-        n_trials = self._problem.n_trials
-        if draws.strengths is before.strengths and np.array_equal(
-            draws.attempted(n_trials), before.attempted(n_trials)
-        ):
+    def _calmed(self) -> bool:
+        """Whether there was noise with which the arm runs away where the search is; it is drawn anew."""
+        before, state = self._at.draws, self._at.state
+        return before is not None and self._took(predict_with_stable_noise(self._problem, state, before))
+
+    def _calmed_ahead(self, ahead: State) -> bool:
+        """Whether noise with which the arm runs away at a state ahead was drawn anew, see `borne_ahead`."""
+        before, state = self._at.draws, self._at.state
+        return before is not None and self._took(borne_ahead(self._problem, state, ahead, before))
+
+    def _took(self, draws: NoiseDraws) -> bool:
+        """Whether draws are other ones than before; the search goes on with them."""
+        if draws is self._at.draws:
             return False
         self._at = replace(self._at, draws=draws, reference=self._at.state)
         self._keep()
@@ -271,7 +272,7 @@ class Search:
                     if ahead.gain < gain:
                         break
             else:  # no part of the step leaves less to be gained
-                if not is_last and (self._distance() or self._calmed(maximum)):
+                if not is_last and (self._distance() or self._calmed_ahead(maximum)):
                     return ""
                 if step < STALLED_STEP or gain < self._difference_of_seeds(slopes, normal):
                     return CONVERGED

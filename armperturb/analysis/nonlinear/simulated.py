@@ -3,6 +3,10 @@
 A muscle that yields is softer when noise moves it too, so the response without noise differs from the mean response in
 its presence, and estimates from it are biased; the bias grows with the noise. The mean is taken over draws of the noise
 (`draws`), in pairs of opposite sign, so that their linear responses cancel.
+
+An elasto-plastic part yields at once, so the response of a muscle of few parts has kinks along the parameters, and its
+likelihood several maxima. Responses that are averaged therefore have different elastic limits of one distribution
+(`lanes.divisions`): their kinks lie elsewhere, and the mean is smoother.
 """
 
 import itertools
@@ -15,12 +19,15 @@ from armperturb.analysis.nonlinear.model import EFFECTS, Parameters, person
 from armperturb.analysis.nonlinear.noise import Noise, NoiseDraws
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array, Indices
-from armperturb.planar_arm.lanes import lane_table
+from armperturb.planar_arm.lanes import divisions, lane_table
 from armperturb.planar_arm.simulation import Disturbances
 from armperturb.subject import Subject
 
 COORDINATE_STEP = 1e-4
 """Change of a coordinate in finite differences [-]."""
+
+SMOOTHED = 2
+"""Divisions of the elastic limits over which derivatives without noise are averaged where they are to be smooth."""
 
 REST = 8.0
 """How long nothing pushes an arm before it is tested for a limit cycle [s]."""
@@ -137,17 +144,24 @@ class SimulatedTrials:
             yield 0.5 * (plus - minus), 0.5 * (plus + minus)
 
     def sensitivity(
-        self, state: State, disturbances: Sequence[Disturbances] = (), trials: Indices | None = None
+        self,
+        state: State,
+        disturbances: Sequence[Disturbances] = (),
+        trials: Indices | None = None,
+        *,
+        first: int = 0,
+        n_divisions: int = 1,
     ) -> Array:
         """How far trials, by default all, move when all unknowns change a little [m], RMS, (trial,).
 
-        Of several disturbances the largest, by default without noise; infinite where an arm diverges.
+        Of several disturbances the largest, by default without noise; infinite where an arm diverges. Each disturbance
+        has its division of the elastic limits, see `_responses`.
         """
         steps = self._steps(state)
         moved = state._replace(point=state.point + steps, effects=state.effects + COORDINATE_STEP)
         largest = np.zeros(self.n_trials if trials is None else len(trials))
-        for each in disturbances or (self._quiet,):
-            here, there = self.predict([state, moved], (each,), trials)
+        for number, each in enumerate(disturbances or (self._quiet,), first):
+            here, there = self.predict([state, moved], (each,), trials, first=number, n_divisions=n_divisions)
             size = np.sqrt(np.mean((there - here) ** 2, axis=(1, 2)))
             largest = np.maximum(largest, np.where(np.isfinite(size), size, np.inf))
         return largest
@@ -169,9 +183,22 @@ class SimulatedTrials:
         return people
 
     def _responses(
-        self, states: Sequence[State], disturbed: Sequence[Disturbances], trials: Indices | None = None
+        self,
+        states: Sequence[State],
+        disturbed: Sequence[Disturbances],
+        trials: Indices | None = None,
+        *,
+        first: int = 0,
+        n_divisions: int = 1,
     ) -> tuple[Indices, Iterator[Array]]:
         """What differs between states: a parameter that acts in some trials leaves the others as in another state.
+
+        Args:
+          states: of the unknowns.
+          disturbed: by what.
+          trials: by default all.
+          first: division of the elastic limits under the first disturbance; the others have the next ones.
+          n_divisions: how many there are, see `lanes.divisions`.
 
         Returns:
           Place of each answer among those that differ, (state, trial), and these with each of the disturbances:
@@ -185,27 +212,48 @@ class SimulatedTrials:
         known: dict[tuple[int, bytes], int] = {}
         keys = zip(of_lane.tolist(), (lane.tobytes() for lane in lanes), strict=True)
         place = np.array([known.setdefault(key, len(known)) for key in keys])
-        first = np.unique(place, return_index=True)[1]
-        of_lane = of_lane[first]
+        distinct = np.unique(place, return_index=True)[1]
+        of_lane = of_lane[distinct]
         place = place.reshape(len(states), len(trials))
-        return place, (each.responses(lanes[first], of_lane, self._ends[of_lane]) for each in disturbed)
+        lanes, laws = lanes[distinct], [subjects[lane].muscle for lane in distinct]
+        numbers = range(first, first + len(disturbed))
+        tables = (
+            divisions(lanes, laws, n_divisions, numbers) if n_divisions > 1 else itertools.repeat(lanes, len(numbers))
+        )
+        return place, (
+            each.responses(table, of_lane, self._ends[of_lane]) for table, each in zip(tables, disturbed, strict=True)
+        )
 
     def predict(
-        self, states: Sequence[State], averaged: Sequence[Disturbances] = (), trials: Indices | None = None
+        self,
+        states: Sequence[State],
+        averaged: Sequence[Disturbances] = (),
+        trials: Indices | None = None,
+        *,
+        first: int = 0,
+        n_divisions: int = 0,
     ) -> Array:
         """Displacement [m], (state, trial, time, axis), by default of all trials.
 
         It is the mean over some disturbances, by default over those that `predict_with` was given.
+
+        Args:
+          states: of the unknowns.
+          averaged: the disturbances.
+          trials: by default all.
+          first: division of the elastic limits under the first disturbance, see `_responses`.
+          n_divisions: how many there are; by default as many as disturbances.
         """
         averaged = averaged or self._averaged
-        place, responses = self._responses(states, averaged, trials)
+        n_divisions = n_divisions or len(averaged)
+        place, responses = self._responses(states, averaged, trials, first=first, n_divisions=n_divisions)
         total = next(responses)
         for response in responses:
             total += response
         total /= len(averaged)
         return np.asarray(total[place])
 
-    def derivatives(self, state: State, *, noisy: bool = False) -> list[Array]:
+    def derivatives(self, state: State, *, noisy: bool = False, smooth: bool = False) -> list[Array]:
         """Derivatives of the predictions of each trial [m], (parameters and own effects, time, axis).
 
         They are zero where an arm diverges, so that such a trial says nothing of where to go.
@@ -213,6 +261,7 @@ class SimulatedTrials:
         Args:
           state: where they are taken.
           noisy: whether they are those of the mean response in the presence of the noise that is predicted with.
+          smooth: whether those without noise are means over `SMOOTHED` divisions of the elastic limits.
         """
         n, along = len(state.point), self.parameters.along_effects(state.point)
         # What an effect does is simulated only where no parameters do the same.
@@ -224,7 +273,8 @@ class SimulatedTrials:
             effects = state.effects.copy()
             effects[moved] += COORDINATE_STEP
             states.append(state._replace(effects=effects))
-        predicted = self.predict([state, *states], self._averaged if noisy else (self._quiet,))
+        quiet = (self._quiet,) * (SMOOTHED if smooth else 1)
+        predicted = self.predict([state, *states], self._averaged if noisy else quiet)
         changes = (predicted[1:] - predicted[0]) / steps[:, None, None, None]
         changes[:, ~np.isfinite(changes).all(axis=(0, 2, 3))] = 0.0
         derivatives = []

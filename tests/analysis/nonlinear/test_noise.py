@@ -5,7 +5,7 @@ import pytest
 from scipy import signal, stats
 
 from armperturb.analysis.arm.state_space import simulate_linear
-from armperturb.analysis.nonlinear.draws import MOST_ATTEMPTS, borne, is_borne, run_away
+from armperturb.analysis.nonlinear.draws import MOST_ATTEMPTS, borne, borne_ahead, is_borne, run_away
 from armperturb.analysis.nonlinear.noise import Noise, NoiseDraws
 from armperturb.environment import Environment
 from armperturb.planar_arm.lanes import lane_table
@@ -163,14 +163,26 @@ class Wild:
     """In place of a problem: an arm runs away where the first number of its noise is above one."""
 
     n_trials = 40
+    unstable = ()
+    """States whose arm runs away with any noise."""
+
+    def predict_with(self, draws):
+        self.draws = draws
+
+    def predict(self, states):
+        return np.array([np.nan if state in self.unstable else 0.0 for state in states])
 
     def disturbed(self, draws, pairs=range(100)):
         drawn = enumerate(draws.standard((self.n_trials, 3, 2)))
         return [(standard,) for pair, standard in drawn if pair in pairs]
 
-    def sensitivity(self, state, disturbances=(), trials=slice(None)):
-        sizes = np.where(disturbances[0][:, 0, 0] > 1.0, 100.0, 2.0) if disturbances else np.ones(self.n_trials)
-        return sizes[trials]
+    def sensitivity(self, state, disturbances=(), trials=slice(None), *, first=0, n_divisions=1):
+        if not disturbances:
+            return np.ones(self.n_trials)
+        # As in predictions, each half of a pair has its own division.
+        assert first in range(0, n_divisions, 2)
+        runs_away = (disturbances[0][:, 0, 0] > 1.0) | (state in self.unstable)
+        return np.where(runs_away, 100.0, 2.0)[trials]
 
 
 def test_noise_with_which_an_arm_runs_away_is_drawn_anew_and_no_other():
@@ -183,12 +195,20 @@ def test_noise_with_which_an_arm_runs_away_is_drawn_anew_and_no_other():
     assert found.attempts.max() < MOST_ATTEMPTS
     assert is_borne(problem, None, found)
     assert not is_borne(problem, None, draws)
+    assert borne(problem, None, found) is found
     # An arm that runs away with any noise ends the search for better one.
-    everywhere = np.full(problem.n_trials, 100.0)
-    problem.sensitivity = lambda state, disturbances=(), trials=slice(None): (
-        everywhere[trials] if disturbances else np.ones(problem.n_trials)
-    )
-    assert (borne(problem, None, draws).attempts == MOST_ATTEMPTS).all()
+    problem.unstable = ("there",)
+    assert (borne(problem, "there", draws).attempts == MOST_ATTEMPTS).all()
+
+
+def test_noise_is_not_drawn_anew_for_an_arm_that_is_unstable_ahead():
+    draws, problem = NoiseDraws((), (), 5, 9), Wild()
+    found = borne_ahead(problem, "here", "there", draws)
+    assert found is problem.draws is not draws
+    assert is_borne(problem, "there", found)
+    assert borne_ahead(problem, "here", "there", found) is found
+    problem.unstable = ("there",)
+    assert borne_ahead(problem, "here", "there", draws) is problem.draws is draws
 
 
 def test_a_trial_that_stands_out_is_told():
