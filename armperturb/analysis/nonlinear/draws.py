@@ -14,7 +14,8 @@ from armperturb.analysis.fit.whittle import LackOfFit
 from armperturb.analysis.nonlinear.noise import NoiseDraws
 from armperturb.analysis.nonlinear.problem import Problem
 from armperturb.analysis.nonlinear.simulated import State
-from armperturb.arrays import Array
+from armperturb.arrays import Array, Indices
+from armperturb.planar_arm.simulation import Disturbances
 
 PAIRS_OF_STRENGTH = 4
 """Pairs of draws from which the strength of draws is estimated."""
@@ -116,9 +117,21 @@ def is_borne(problem: Problem, state: State, draws: NoiseDraws) -> bool:
     """Whether no arm runs away in the presence of any draw."""
     most = WILD * problem.sensitivity(state)
     return all(
-        bool((problem.sensitivity(state, pair, first=2 * number, n_divisions=2 * draws.n_pairs) <= most).all())
-        for number, pair in enumerate(problem.disturbed(draws))
+        bool((_sensitivity(problem, state, draws, pair, disturbances) <= most).all())
+        for pair, disturbances in enumerate(problem.disturbed(draws))
     )
+
+
+def _sensitivity(
+    problem: Problem,
+    state: State,
+    draws: NoiseDraws,
+    pair: int,
+    disturbances: Sequence[Disturbances],
+    trials: Indices | None = None,
+) -> Array:
+    """`Problem.sensitivity` to a pair of the draws, with the divisions of the elastic limits that predictions use."""
+    return problem.sensitivity(state, disturbances, trials, first=2 * pair, n_divisions=2 * draws.n_pairs)
 
 
 def borne(problem: Problem, state: State, draws: NoiseDraws) -> NoiseDraws:
@@ -139,8 +152,7 @@ def borne(problem: Problem, state: State, draws: NoiseDraws) -> NoiseDraws:
         draws = draws._replace(attempts=attempts.copy())
         for pair, disturbances in zip(sorted(unchecked), problem.disturbed(draws, unchecked), strict=True):
             trials = unchecked[pair]
-            divided = {"first": 2 * pair, "n_divisions": 2 * draws.n_pairs}
-            is_wild = problem.sensitivity(state, disturbances, trials, **divided) > most[trials]
+            is_wild = _sensitivity(problem, state, draws, pair, disturbances, trials) > most[trials]
             unchecked[pair] = trials[is_wild & (attempts[pair, trials] < MOST_ATTEMPTS)]
             attempts[pair, unchecked[pair]] += 1
         unchecked = {pair: trials for pair, trials in unchecked.items() if len(trials)}

@@ -176,13 +176,13 @@ class Wild:
         drawn = enumerate(draws.standard((self.n_trials, 3, 2)))
         return [(standard,) for pair, standard in drawn if pair in pairs]
 
-    def sensitivity(self, state, disturbances=(), trials=slice(None), *, first=0, n_divisions=1):
+    def sensitivity(self, state, disturbances=(), trials=None, *, first=0, n_divisions=1):
         if not disturbances:
             return np.ones(self.n_trials)
         # As in predictions, each half of a pair has its own division.
         assert first in range(0, n_divisions, 2)
         runs_away = (disturbances[0][:, 0, 0] > 1.0) | (state in self.unstable)
-        return np.where(runs_away, 100.0, 2.0)[trials]
+        return np.where(runs_away, 100.0, 2.0)[slice(None) if trials is None else trials]
 
 
 def test_noise_with_which_an_arm_runs_away_is_drawn_anew_and_no_other():
