@@ -1,21 +1,15 @@
 """Estimates of arms that the package did not make, from any excitation, from rest or amid the movement."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+from foreign_arms import admittance
+from foreign_recordings import draw_foreign
 
 from armperturb.analysis.fit.group import Group
 from armperturb.analysis.fit.identify import identify
 from armperturb.analysis.fit.maximum_likelihood import estimate
 from armperturb.analysis.fit.own_structures import composed
 from armperturb.analysis.response.closed_loop import estimate_noise
-
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
-from foreign_arms import admittance
-from foreign_recordings import draw_foreign
 
 JUDGED = ("k_s", "k_se", "k_e", "b_s", "b_se", "b_e")
 # Linear arms that move little: no search is made longer because another geometry, which is tried too, fits worse.

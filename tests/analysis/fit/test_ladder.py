@@ -1,11 +1,11 @@
 """The trials choose the structure of arms that the package did not make."""
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from foreign_recordings import draw_foreign
 
 from armperturb.analysis.fit import group as group_module
 from armperturb.analysis.fit.group import Group
@@ -15,10 +15,6 @@ from armperturb.analysis.fit.maximum_likelihood import estimate, sketch
 from armperturb.analysis.fit.own_structures import composed
 from armperturb.analysis.fit.trial_effects import TrialScore
 from armperturb.convert.importer import import_recording
-
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
-from foreign_recordings import draw_foreign
 
 JUDGED = ("k_s", "k_se", "k_e", "b_s", "b_se", "b_e")
 

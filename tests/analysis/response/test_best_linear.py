@@ -1,10 +1,8 @@
 """Noise and distortion apart, against signals in which both are known."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+from foreign_recordings import Arm, Setup
 from scipy import stats
 from test_frequency_response import CLUSTERS, N_PERIOD, PERIOD, RATE, TRUE, labels, multisine, recorded
 
@@ -12,10 +10,6 @@ from armperturb.analysis.response.best_linear import best_linear
 from armperturb.analysis.results import LINES
 from armperturb.plots.style import new_figure
 from armperturb.recording import make_recording
-
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
-from foreign_recordings import Arm, Setup
 
 FREQUENCY = np.fft.rfftfreq(N_PERIOD, 1.0 / RATE)
 LOAD = np.concatenate([np.zeros((1, 2, 2), complex), TRUE["arm"](FREQUENCY[1:])])
