@@ -55,7 +55,11 @@ def main(arguments: Sequence[str] = ()) -> None:
         changed = np.clip(usual + change, parameters.lower, parameters.upper)
         started = time.process_time()
         initial = {name: value_at(name, at) for name, at in zip(parameters.names, changed, strict=True)}
-        found = fit(sets, arms, model, initial=initial, n_pairs=options.pairs)
+        try:
+            found = fit(sets, arms, model, initial=initial, n_pairs=options.pairs)
+        except ValueError as error:
+            print(f"start {number}: {error}", flush=True)
+            continue
         took = f"{time.process_time() - started:.0f} s of the processor, {found.message}"
         if first is None:
             first = found
