@@ -8,6 +8,7 @@ import pytest
 from armperturb.convert.exporter import export_recording
 from armperturb.convert.importer import import_recording
 from armperturb.recording import check_recording, is_one_axis, make_recording
+from armperturb.recording_files import save_recording
 
 RATE = 200.0
 INERTIA = 0.01
@@ -132,6 +133,9 @@ def test_a_reflex_that_looks_like_inertia_of_the_other_sign_refuses_no_slow_move
     assert "inertia comes out at " + "-" * (body == "hand") + "0.1" in note
     # A joint resists what moves it, however slow that is.
     assert ("exerted_by the other" in note) == (body == "handle")
+    kept = tmp_path / "kept.nc"
+    save_recording(recording, kept)
+    assert import_recording([kept]).notes == (f"{kept}: {note}",)
 
 
 def test_a_constant_angle_and_a_saturated_torque_are_named(tmp_path):

@@ -103,13 +103,14 @@ def import_recording(
         if value:
             raise ValueError(f"{ours[0]}: {name} = {value!r}; expected none with netCDF, which is complete itself")
     recordings = [load_recording(path, optional) for path in ours]
+    physics: list[str] = []
     for path, recording in zip(ours, recordings, strict=True):
         require_plausible_recording(recording, str(path))
         if is_one_axis(recording):
-            check_joint(recording, source=str(path))
+            physics += [f"{path}: {note}" for note in check_joint(recording, source=str(path))]
         else:
             require_signs(recording, source=str(path))
-    notes = check_recordings(recordings, list(map(str, ours)))
+    notes = (*check_recordings(recordings, list(map(str, ours))), *physics)
     if len(ours) == 1:
         return Imported(recordings[0], notes)
     together = join_recordings(recordings, ", ".join(map(str, ours)), OPTIONAL_SIGNALS)

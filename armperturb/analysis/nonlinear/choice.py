@@ -16,7 +16,14 @@ import numpy as np
 from scipy import stats
 
 from armperturb.analysis.nonlinear.draws import predict_with_stable_noise
-from armperturb.analysis.nonlinear.estimate import N_PAIRS, fit, free_parameters, nearest_arms
+from armperturb.analysis.nonlinear.estimate import (
+    N_PAIRS,
+    N_PAIRS_OF_ERRORS,
+    fit,
+    free_parameters,
+    nearest_arms,
+    require_draws,
+)
 from armperturb.analysis.nonlinear.model import Law, Model, bounds, stem
 from armperturb.analysis.nonlinear.noise import NoiseDraws
 from armperturb.analysis.nonlinear.prediction import PulsePrediction, facts_of, predict_pulses
@@ -27,6 +34,7 @@ from armperturb.analysis.results import Description, Result
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
 from armperturb.subject import Subject
+from armperturb.validation import require_whole
 
 LAWS: tuple[Law, ...] = ("linear", "short-range", "full", "half-wave")
 """From the simplest to the largest."""
@@ -193,9 +201,12 @@ def compare_laws(
       **options: further ones of `fit`.
 
     Raises:
+      TypeError: as `fit`.
       ValueError: as `fit`, or no condition has two trials.
       OSError: a checkpoint cannot be written.
     """
+    require_draws("compare_laws", n_pairs, options.get("n_pairs_of_errors", N_PAIRS_OF_ERRORS))
+    require_whole("compare_laws", "n_pairs_of_folds", n_pairs_of_folds, at_least=0)
     folds = _folds(sets)
     if not folds:
         raise ValueError("each condition has one trial; expected two in one at least, to leave one out")

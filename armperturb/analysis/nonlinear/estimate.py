@@ -77,15 +77,16 @@ def fit(
       emg: condition to the EMG of all its trials, where it tells of reflexes; not of half-wave rectified spindles.
 
     Raises:
-      TypeError: a number of draws is no whole number.
-      ValueError: a number of draws is too small, trials are of several people or rates, there are none, `initial` or
+      TypeError: a number of draws or steps, or the seed, is no whole number.
+      ValueError: such a number is too small, trials are of several people or rates, there are none, `initial` or
         `model` names what is not free, the arm at the start is unstable, or it runs away under the person's noise where
         the search has come to.
       OSError: the checkpoint cannot be written.
       ModuleNotFoundError: numba is not installed.
     """
-    require_whole("fit", "n_pairs", n_pairs, at_least=0)
-    require_whole("fit", "n_pairs_of_errors", n_pairs_of_errors, at_least=2)
+    require_draws("fit", n_pairs, n_pairs_of_errors)
+    require_whole("fit", "max_steps", max_steps, at_least=1)
+    require_whole("fit", "seed", seed, at_least=0)
     model = model or Model()
     parameters = free_parameters(sets, model)
     everywhere = nearest_arms(sets, arms)
@@ -100,6 +101,17 @@ def fit(
         begin = Position(state=state, reference=state)
     search = Search(problem, begin, n_pairs=n_pairs, seed=seed, max_steps=max_steps, save=save, progress=progress)
     return _estimate(problem, *search.run(), n_pairs_of_errors, seed + 1)
+
+
+def require_draws(owner: str, n_pairs: object, n_pairs_of_errors: object) -> None:
+    """Refuse numbers of draws with which there is no fit, see `fit`.
+
+    Raises:
+      TypeError: a number is no whole number.
+      ValueError: a number is too small.
+    """
+    require_whole(owner, "n_pairs", n_pairs, at_least=0)
+    require_whole(owner, "n_pairs_of_errors", n_pairs_of_errors, at_least=2)
 
 
 def free_parameters(sets: Sequence[ConditionTrials], model: Model) -> Parameters:

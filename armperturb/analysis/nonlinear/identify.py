@@ -13,7 +13,7 @@ import xarray as xr
 from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.emg.envelope import Envelopes
 from armperturb.analysis.nonlinear.choice import Choice, compare_laws
-from armperturb.analysis.nonlinear.estimate import N_PAIRS, N_PAIRS_OF_ERRORS, fit, nearest_arms
+from armperturb.analysis.nonlinear.estimate import N_PAIRS, N_PAIRS_OF_ERRORS, fit, nearest_arms, require_draws
 from armperturb.analysis.nonlinear.model import Law, Model
 from armperturb.analysis.nonlinear.prediction import PulsePrediction, facts_of, predict_pulses, predict_pulses_linearly
 from armperturb.analysis.nonlinear.result import NonlinearEstimate
@@ -136,14 +136,18 @@ def identify_nonlinear(
       parts: elasto-plastic parts of each muscle group, see `Model`; another number cannot be used with "choose".
 
     Raises:
-      TypeError: recording is no `Dataset`, or threads no whole number.
-      ValueError: the recording is refused or cannot be identified, the law is unknown, or EMG cannot be used with it.
+      TypeError: recording is no `Dataset`, or a number of threads, draws or parts no whole number.
+      ValueError: the recording is refused or cannot be identified, the law is unknown, EMG cannot be used with it, or a
+        number is too small.
       OSError: a checkpoint cannot be written.
       ModuleNotFoundError: numba is not installed.
     """
-    load_compiled_arm()  # refused before anything that takes time
+    load_compiled_arm()  # what is wrong is refused before anything that takes time
     check_recording(recording)
     require_whole("identify_nonlinear", "threads", threads, at_least=1)
+    require_draws("identify_nonlinear", n_pairs, n_pairs_of_errors)
+    if law != "choose":
+        Model(law=law, parts=parts)
     if law == "half-wave" and "PT" not in recording["task"].values:
         raise ValueError(
             "law = 'half-wave' of trials without reflexes (task RT); expected trials of the task PT (or --law full)"

@@ -7,6 +7,7 @@ import nonlinear_trials as made
 import numpy as np
 import pytest
 
+from armperturb.analysis.nonlinear import identify
 from armperturb.analysis.nonlinear.choice import Choice, Gain, Judged, compare_laws, left_out_likelihood
 from armperturb.analysis.nonlinear.draws import (
     inverse_of_mixed,
@@ -221,6 +222,24 @@ def test_what_cannot_be_fitted_is_refused(ideal):
         fit(ideal, ARMS, FEW, initial={"thinning_velocity": -1.0})
     with pytest.raises(ValueError, match="sampling rates 100, 200 Hz; expected one"):
         fit([ideal[0], replace(ideal[1], recording=ideal[1].recording.assign_attrs(rate=200.0))], ARMS, FEW)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"n_pairs": -1}, "identify_nonlinear: n_pairs = -1; expected a finite number at least 0"),
+        ({"n_pairs_of_errors": 1}, "identify_nonlinear: n_pairs_of_errors = 1; expected a finite number at least 2"),
+        ({"parts": 0}, "Model: parts = 0; expected a finite number at least 1 and at most 64"),
+        ({"law": "elastic"}, "Model: law = 'elastic'; expected one of linear, short-range, full, half-wave"),
+    ],
+)
+def test_options_are_refused_before_anything_is_fitted(ideal, monkeypatch, options, message):
+    monkeypatch.setattr(identify, "linear_arms", lambda *_, **__: pytest.fail("fitted before"))
+    with pytest.raises(ValueError, match=message):
+        identify.identify_nonlinear(ideal[0].recording, **options)
+    if "n_pairs" in options:
+        with pytest.raises(ValueError, match="compare_laws: n_pairs = -1"):
+            compare_laws([], {}, **options)
 
 
 def test_an_unstable_start_is_refused():
