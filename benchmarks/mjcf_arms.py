@@ -108,7 +108,7 @@ def record(model: Path, push: ap.Multisine, seed: int, with_remnant: bool) -> xr
     return ap.load_recording(out)
 
 
-def judge(seed: int, rms: float, with_remnant: bool) -> dict:
+def judge(seed: int, rms: float, remnant: bool) -> dict:
     """Draw, perturb and identify one arm."""
     arm, truth = draw(seed)
     row: dict = {"seed": seed}
@@ -118,7 +118,7 @@ def judge(seed: int, rms: float, with_remnant: bool) -> dict:
         start = time.process_time()
         seeds = range(N_TRIALS * seed, N_TRIALS * (seed + 1))
         pushes = [ap.Multisine.draw(seed=each, rms=rms, duration=DURATION) for each in seeds]
-        recordings = [record(model, push, each, with_remnant) for push, each in zip(pushes, seeds, strict=True)]
+        recordings = [record(model, push, each, remnant) for push, each in zip(pushes, seeds, strict=True)]
         row["simulated"] = time.process_time() - start
         start = time.process_time()
         result = ap.identify(ap.stack_trials(recordings))
