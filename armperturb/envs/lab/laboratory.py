@@ -2,7 +2,7 @@
 
 import copy
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -21,6 +21,7 @@ from armperturb.envs.lab.posture import (
     listed,
     lock_joints,
     muscles_of,
+    scalar_joints,
     settle,
     take_posture,
 )
@@ -159,7 +160,7 @@ class Laboratory:
         place = None if handle is None else np.array(handle, dtype=float)
         if place is not None and place.shape != (3,):
             raise ValueError(f"{owner}: handle = {handle!r}; expected three numbers, x, y and z [m]")
-        arm, data = _in_posture(spec, hand, start, place)
+        arm, data = _in_posture(spec, hand, start, posture_deg or {}, place)
         for name, value in controls.items():
             data.ctrl[arm.actuator(name).id] = value
         muscles = muscles_of(arm)
@@ -185,7 +186,7 @@ class Laboratory:
             settled = settle(self.model, self._data, self._slides, slides, self._gauge)
         segments = segments_of(self.model, self._data, self.model.site(hand).id, turn, joints)
         self.rest = Rest(
-            posture={arm.joint(j).name: float(self._data.qpos[arm.jnt_qposadr[j]]) for j in range(arm.njnt)},
+            posture={arm.joint(j).name: float(self._data.qpos[arm.jnt_qposadr[j]]) for j in scalar_joints(arm)},
             activation={arm.actuator(i).name: float(data.ctrl[i]) for i in muscles},
             force=settled.force,
             settled=settled.time,
@@ -337,7 +338,6 @@ def _start(
     model = spec.copy().compile()
     start: dict[str, float] = {}
     controls: dict[str, float] = {}
-    scalar = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
     if keyframe is not None:
         names = [model.key(i).name for i in range(model.nkey)]
         if keyframe not in names:
@@ -347,8 +347,8 @@ def _start(
         key = model.key(keyframe)
         start = {
             model.joint(j).name: float(key.qpos[model.jnt_qposadr[j]])
-            for j in range(model.njnt)
-            if model.jnt_type[j] in scalar and model.joint(j).name
+            for j in scalar_joints(model)
+            if model.joint(j).name
         }
         controls = {model.actuator(i).name: float(key.ctrl[i]) for i in range(model.nu) if model.actuator(i).name}
     for name, value in posture_deg.items():
@@ -362,13 +362,13 @@ def _start(
 
 
 def _in_posture(
-    spec: mujoco.MjSpec, hand: str, start: Mapping[str, float], place: Array | None
+    spec: mujoco.MjSpec, hand: str, start: Mapping[str, float], held: Collection[str], place: Array | None
 ) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """The arm alone, as its joints start, or with its hand at a place in the world [m]."""
+    """The arm alone, as its joints start, of which some are held, or with its hand at a place in the world [m]."""
     arm = spec.compile()
     data = mujoco.MjData(arm)
     moving = {name: value for name, value in start.items() if _has_joint(arm, name)}
-    take_posture(arm, data, moving, arm.site(hand).id, place)
+    take_posture(arm, data, moving, [name for name in held if name in moving], arm.site(hand).id, place)
     return arm, data
 
 

@@ -2,7 +2,7 @@
 
 import copy
 import fnmatch
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -20,6 +20,13 @@ POSE_STEPS = 300
 
 LONGEST_STEP = 0.2
 """[rad, m]"""
+
+SHORT = 1e-4
+"""Weight of a joint's movement beside the hand's distance from the handle, where joints are at the end of their range
+[m/rad]."""
+
+SCALAR = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
+"""Kinds of joints that have one coordinate."""
 
 AT_REST = 1e-7
 """Acceleration below which nothing has to settle [rad/s^2, m/s^2]."""
@@ -61,6 +68,8 @@ def lock_joints(spec: mujoco.MjSpec, patterns: Sequence[str], posture: Mapping[s
       ValueError: a pattern matches no joint, or only some of those between two bodies, or one in a frame.
     """
     spec = spec.copy()
+    for key in list(spec.keys):  # it would have too many positions
+        spec.delete(key)
     model = spec.compile()
     data = mujoco.MjData(model)
     names = [model.joint(j).name for j in range(model.njnt)]
@@ -118,15 +127,20 @@ def _moments(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
 
 
 def take_posture(
-    model: mujoco.MjModel, data: mujoco.MjData, posture: Mapping[str, float], hand: int, handle: Array | None
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    posture: Mapping[str, float],
+    held: Collection[str],
+    hand: int,
+    handle: Array | None,
 ) -> None:
     """Move an arm to where its constraints hold and, if that is asked for, its hand is at the handle.
 
     Args:
       model: of the arm alone.
       data: whose positions change.
-      posture: joint to angle [rad] or displacement [m]; joints that it does not have move as little as they must, and
-        those that it has only move for a handle.
+      posture: joint to angle [rad] or displacement [m] where it starts; joints move as little as they must.
+      held: joints of the posture that only move for a handle.
       hand: id of its site.
       handle: where the hand has to be [m], (3,); None for wherever the posture puts it.
 
@@ -135,25 +149,16 @@ def take_posture(
     """
     for name, value in posture.items():
         data.qpos[model.joint(name).qposadr[0]] = value
-    given = np.array([model.joint(name).dofadr[0] for name in posture if handle is None], dtype=int)
+    given = np.array([model.joint(name).dofadr[0] for name in held if handle is None], dtype=int)
     free = np.setdiff1d(np.arange(model.nv), given)
     sparse, model.opt.jacobian = model.opt.jacobian, mujoco.mjtJacobian.mjJAC_DENSE
-    error = np.zeros(0)
-    for _ in range(POSE_STEPS):
-        mujoco.mj_fwdPosition(model, data)
-        jacobian, error = constraint_rows(model, data)
-        if handle is not None:
-            of_hand = np.zeros((3, model.nv))
-            mujoco.mj_jacSite(model, data, of_hand, None, hand)
-            jacobian = np.vstack([jacobian, of_hand])
-            error = np.concatenate([error, data.site_xpos[hand] - handle])
-        if not len(error) or np.abs(error).max() < REACHED:
-            break
-        move = np.zeros(model.nv)
-        move[free] = -np.linalg.lstsq(jacobian[:, free], error, rcond=1e-6)[0]
-        move *= min(1.0, LONGEST_STEP / max(np.abs(move).max(), 1e-300))
-        mujoco.mj_integratePos(model, data.qpos, move, 1.0)
-        _keep_limits(model, data.qpos)
+    error = _approach(model, data, free, hand, handle)
+    if len(error) and np.abs(error).max() >= REACHED:
+        # A straight arm at the end of its range does not bend by itself.
+        joints = _bounded(model)
+        joints = joints[np.isin(model.jnt_dofadr[joints], free)]
+        data.qpos[model.jnt_qposadr[joints]] = model.jnt_range[joints].mean(axis=1)
+        error = _approach(model, data, free, hand, handle)
     model.opt.jacobian = sparse
     if len(error) and np.abs(error).max() >= REACHED:
         if handle is not None and np.abs(error[-3:]).max() >= REACHED:
@@ -169,6 +174,51 @@ def take_posture(
     mujoco.mj_forward(model, data)
 
 
+def _approach(model: mujoco.MjModel, data: mujoco.MjData, free: Indices, hand: int, handle: Array | None) -> Array:
+    """Newton steps to where constraints hold and the hand is at the handle; returns what is left of the way.
+
+    Joints stay within their ranges.
+
+    Args:
+      model: of the arm alone, whose Jacobian is dense.
+      data: whose positions change.
+      free: degrees of freedom that may move.
+      hand: id of its site.
+      handle: where the hand has to be [m], (3,); None for anywhere.
+    """
+    error = np.zeros(0)
+    bounded = _bounded(model)
+    bounded = bounded[np.isin(model.jnt_dofadr[bounded], free)]
+    limits = model.jnt_range[bounded]
+    for _ in range(POSE_STEPS):
+        mujoco.mj_fwdPosition(model, data)
+        jacobian, error = constraint_rows(model, data)
+        if handle is not None:
+            of_hand = np.zeros((3, model.nv))
+            mujoco.mj_jacSite(model, data, of_hand, None, hand)
+            jacobian = np.vstack([jacobian, of_hand])
+            error = np.concatenate([error, data.site_xpos[hand] - handle])
+        if not len(error) or np.abs(error).max() < REACHED:
+            break
+        move = np.zeros(model.nv)
+        move[free] = -np.linalg.lstsq(jacobian[:, free], error, rcond=1e-6)[0]
+        move *= min(1.0, LONGEST_STEP / max(np.abs(move).max(), 1e-300))
+        left = limits - data.qpos[model.jnt_qposadr[bounded], None]
+        bends = move[model.jnt_dofadr[bounded]]
+        if ((bends < left[:, 0]) | (bends > left[:, 1])).any():
+            low, high = np.full((2, model.nv), LONGEST_STEP) * [[-1.0], [1.0]]
+            low[model.jnt_dofadr[bounded]], high[model.jnt_dofadr[bounded]] = np.clip(
+                left, -LONGEST_STEP, LONGEST_STEP
+            ).T
+            # Of all moves that reach as near, a short one.
+            matrix = np.vstack([jacobian[:, free], SHORT * np.eye(len(free))])
+            target = np.concatenate([-error, np.zeros(len(free))])
+            between = low[free], np.maximum(high, low + 1e-12)[free]
+            move[free] = lsq_linear(matrix, target, between).x
+        mujoco.mj_integratePos(model, data.qpos, move, 1.0)
+    return error
+
+
 def constraint_rows(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
     """Jacobian (row, dof) and error (row,) of equality constraints, of a model whose Jacobian is dense."""
     rows = data.efc_type[: data.nefc] == mujoco.mjtConstraint.mjCNSTR_EQUALITY
@@ -176,11 +226,15 @@ def constraint_rows(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, 
     return jacobian[rows].copy(), data.efc_pos[: data.nefc][rows].copy()
 
 
-def _keep_limits(model: mujoco.MjModel, qpos: Array) -> None:
-    """Put joints back into their range."""
-    for j in np.flatnonzero(model.jnt_limited):
-        if model.jnt_type[j] in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
-            qpos[model.jnt_qposadr[j]] = np.clip(qpos[model.jnt_qposadr[j]], *model.jnt_range[j])
+def scalar_joints(model: mujoco.MjModel) -> Indices:
+    """Ids of the joints that have one coordinate: hinges and slides."""
+    return np.flatnonzero(np.isin(model.jnt_type, [int(kind) for kind in SCALAR]))
+
+
+def _bounded(model: mujoco.MjModel) -> Indices:
+    """Ids of the joints of one coordinate that have a range."""
+    joints = scalar_joints(model)
+    return joints[model.jnt_limited[joints].astype(bool)]
 
 
 def muscles_of(model: mujoco.MjModel) -> Indices:

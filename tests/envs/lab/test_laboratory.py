@@ -191,6 +191,66 @@ def test_the_hand_moves_to_the_handle(files):
     np.testing.assert_allclose(data.site("palm").xpos[:2], (0.15, 0.27), atol=2e-3)
 
 
+def hinges(*ranges, key="", coupled=False):
+    """Links of 0.3 m, each on a sprung hinge with a range [rad]; springs are at rest in the keyframe, if there is one."""
+    names = "abc"[: len(ranges)]
+    rest = [float(angle) for angle in key.split()] or [0.0] * len(ranges)
+    text = '<site name="palm" pos="0.3 0 0"/>'
+    for i, (name, (low, high)) in reversed([*enumerate(zip(names, ranges, strict=True))]):
+        text = (
+            f'<body pos="{0.3 * (i > 0)} 0 0"><joint name="{name}" stiffness="20" damping="1" springref="{rest[i]}" '
+            f'range="{low} {high}"/><inertial pos="0.15 0 0" mass="1.5" diaginertia="0.01 0.01 0.01"/>{text}</body>'
+        )
+    keys = f'<keyframe><key name="home" qpos="{key}"/></keyframe>' if key else ""
+    pairs = '<equality><joint joint1="c" joint2="b" polycoef="0 0.5 0 0 0"/></equality>' if coupled else ""
+    return mujoco.MjSpec.from_string(
+        '<mujoco><compiler angle="radian" autolimits="true"/><option gravity="0 0 0"/><default><joint axis="0 0 1"/>'
+        f"</default><worldbody>{text}</worldbody>{pairs}{keys}</mujoco>"
+    )
+
+
+WIDE = (-3.0, 3.0)
+
+
+@pytest.mark.parametrize("locked", [[], ["c"]])
+def test_an_arm_starts_as_its_keyframe_has_it(locked):
+    laboratory = ap.Laboratory(hinges(WIDE, WIDE, WIDE, key="0.4 1.2 0.3"), "palm", keyframe="home", locked=locked)
+    assert laboratory.rest.posture == pytest.approx({"a": 0.4, "b": 1.2} | ({} if locked else {"c": 0.3}), abs=1e-12)
+    assert np.abs(laboratory.rest.force).max() == 0.0
+
+
+def test_coupled_joints_of_a_keyframe_follow_a_posture():
+    laboratory = ap.Laboratory(
+        hinges(WIDE, WIDE, WIDE, key="0.4 1.2 0.3", coupled=True), "palm", keyframe="home", posture_deg={"b": 60.0}
+    )
+    taken = laboratory.rest.posture
+    assert taken["c"] == pytest.approx(0.5 * taken["b"], abs=0.03)  # in the simulation the coupling is soft
+
+
+BEND = (0.0, 2.5)
+
+
+def place(shoulder, elbow):
+    return (
+        *(0.3 * (np.cos(shoulder) + np.cos(shoulder + elbow)), 0.3 * (np.sin(shoulder) + np.sin(shoulder + elbow))),
+        0,
+    )
+
+
+@pytest.mark.parametrize("start", [{}, {"a": 60.0, "b": 10.0}, {"a": 80.0, "b": 0.0}, {"b": 140.0}])
+def test_joints_reach_the_handle_within_their_ranges(start):
+    arm = hinges((-1.0, 1.5), BEND, key="0.2 1.1")
+    laboratory = ap.Laboratory(arm, "palm", posture_deg=start, handle=place(0.2, 1.1))
+    assert laboratory.rest.posture == pytest.approx({"a": 0.2, "b": 1.1}, abs=1e-5)
+
+
+@pytest.mark.parametrize(("shoulder", "elbow"), [(0.2, 2.9), (2.2, 1.0)])
+def test_a_handle_that_only_other_ranges_reach_is_refused(shoulder, elbow):
+    with pytest.raises(ValueError, match="expected a point that the hand can reach"):
+        ap.Laboratory(hinges((-1.0, 1.5), BEND), "palm", handle=place(shoulder, elbow))
+    ap.Laboratory(hinges(WIDE, WIDE), "palm", handle=place(shoulder, elbow))
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
