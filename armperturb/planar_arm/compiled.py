@@ -409,7 +409,8 @@ def log_lanes(lanes: Table, start: Start, known: Array, timestep: float, log: Ar
         1, motor).
       timestep: of the simulation [s].
       log: reflexive excitation, joint velocity, displacement of the handle, joint angle, and force of the handle on the
-        hand, to fill, (lane, step + 1, 10); the last row is that of the end of the last step.
+        hand, to fill, (lane, step + 1, 10); the last row is that of the end of the last step, but for excitation and
+        force, which are those of a step before.
     """
     n_history = start.memory[0].sent.shape[0]
     w, room = np.zeros((RING + 2 * n_history, GROUP)), np.zeros((8, 3))
@@ -420,6 +421,9 @@ def log_lanes(lanes: Table, start: Start, known: Array, timestep: float, log: Ar
             for i in range(n):
                 _write(lanes[first + i], w, i, log[first + i, step])
             if step == log.shape[1] - 1:
+                for i in range(n):
+                    for j in (0, 1, 8, 9):
+                        log[first + i, step, j] = log[first + i, step - 1, j]
                 break
             if n_reflexive:
                 put_reflexes(w, step & (n_history - 1))

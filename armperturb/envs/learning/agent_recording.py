@@ -34,7 +34,8 @@ def record_agent(
 ) -> xr.Dataset:
     """Trials of an agent in an environment, as a recording that `response`, `identify` and `video` read as any other.
 
-    With the person's own action it is the recording of `run_experiment`, to the last bit.
+    With the person's own action it is the recording of `run_experiment`, to the last bit. Trials end with their last
+    whole decision.
 
     Args:
       name: of the environment, e.g. "ArmPerturb/Position-v1".

@@ -48,6 +48,7 @@ class KnownLength:
     """An environment whose `spec` has the number of decisions in a trial, where no other limit was given."""
 
     settings: TaskSettings
+    max_episode_steps: int | None = None
     _spec: EnvSpec | None = None
 
     @property
@@ -58,7 +59,8 @@ class KnownLength:
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
         if spec is not None and spec.max_episode_steps is None:
-            spec = replace(spec, max_episode_steps=round(self.settings.duration * self.settings.control_rate))
+            length = self.max_episode_steps or round(self.settings.duration * self.settings.control_rate)
+            spec = replace(spec, max_episode_steps=length)
         self._spec = spec
 
 

@@ -192,7 +192,7 @@ def test_the_hand_moves_to_the_handle(files):
 
 
 def hinges(*ranges, key="", coupled=False):
-    """Links of 0.3 m, each on a sprung hinge with a range [rad]; springs are at rest in the keyframe, if there is one."""
+    """Links of 0.3 m, each on a sprung hinge with a range [rad]; springs are at rest in the keyframe."""
     names = "abc"[: len(ranges)]
     rest = [float(angle) for angle in key.split()] or [0.0] * len(ranges)
     text = '<site name="palm" pos="0.3 0 0"/>'

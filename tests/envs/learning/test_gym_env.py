@@ -99,16 +99,19 @@ def test_a_seed_gives_a_path_and_the_next_trial_is_another(name):
 
 def test_the_compiled_engine_moves_people_as_mujoco_does():
     """In vectors, with all that an agent may set; and each person moves as alone."""
-    paths = {}
+    paths, forces = {}, {}
     for engine in ("mujoco", "compiled"):
         envs = vectorised(3, "ArmPerturb/Pulse-v1", engine=engine, **SHORT)
         first, _ = envs.reset(seed=7)
         envs.action_space.seed(7)
-        paths[engine] = [first, *(envs.step(envs.action_space.sample())[0] for _ in range(30))]
-    ours, mujocos = (np.array(paths[engine]) for engine in ("compiled", "mujoco"))
-    spread = mujocos.std(axis=(0, 1))
-    assert (np.abs(ours - mujocos).max(axis=(0, 1)) < 2e-3 * spread).all()
-    assert (spread > 0).all()
+        steps = [envs.step(envs.action_space.sample()) for _ in range(30)]
+        paths[engine] = [first, *(step[0] for step in steps)]
+        forces[engine] = [step[4]["force"] for step in steps]
+    for of_engine in (paths, forces):
+        ours, mujocos = (np.array(of_engine[engine]) for engine in ("compiled", "mujoco"))
+        spread = mujocos.std(axis=(0, 1))
+        assert (np.abs(ours - mujocos).max(axis=(0, 1)) < 2e-3 * spread).all()
+        assert (spread > 0).all()
     alone = made("ArmPerturb/Pulse-v1", engine="compiled", **SHORT)
     alone.reset(seed=8)
     envs = vectorised(3, "ArmPerturb/Pulse-v1", engine="compiled", **SHORT)
