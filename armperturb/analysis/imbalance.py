@@ -41,6 +41,9 @@ LATEST, STEP = 0.15, 5e-3
 ROUNDS = 3
 """How often a candidate and its noise are estimated in turn."""
 
+LOW = 0.1
+"""Share of the excited bands that count as low frequencies, at which noise of displacement matters little [-]."""
+
 CHANCE = 1e-4
 """Probability below which noise alone does not explain a likelihood ratio [-]."""
 
@@ -285,9 +288,19 @@ def _least_squares(summed: Array, base: Array, terms: list[Array]) -> tuple[Arra
 
 
 def _fitted(spectra: Spectra, base: Array, terms: list[Array]) -> _Fit:
-    """Fit a linear candidate and its noise in turn."""
+    """Fit a linear candidate and its noise in turn, and of all starts take the most likely.
+
+    Where displacement is noisy, its acceleration at high frequencies is noise, which makes a mass too small that starts
+    with equal weights. So another start weighs these less.
+    """
+    start = np.quantile(spectra.frequency, LOW)
+    densities = np.ones(len(spectra.frequency)), 1.0 + (spectra.frequency / start) ** 4
+    return min((_fitted_from(spectra, base, terms, each) for each in densities), key=lambda fit: fit.objective)
+
+
+def _fitted_from(spectra: Spectra, base: Array, terms: list[Array], density: Array) -> _Fit:
+    """The same from one density of the noise, (band,)."""
     s = 2j * np.pi * spectra.frequency
-    density = np.ones(len(s))
     for _ in range(ROUNDS):
         values, _ = _least_squares(_summed(spectra, spectra.counts / density), base, terms)
         weights = base + np.tensordot(values, np.stack(terms), 1)

@@ -55,6 +55,16 @@ def test_nothing_is_wrong_where_there_is_but_noise(noise, instruments):
     assert found(*signals(noise=noise, force=instruments[0], displacement=instruments[1], seed=7)) is None
 
 
+@pytest.mark.parametrize(("displacement", "top"), [(3e-4, 20.0), (1e-4, 30.0), (5e-5, 50.0)])
+def test_displacement_as_noisy_as_markers_neither_makes_nor_hides_a_fault(displacement, top):
+    d, f, x = signals(displacement=displacement, top=top, force=0.05, seed=8)
+    assert found(d, f, x) is None
+    assert found(d, 1.15 * f, x).bias == pytest.approx(0.15, rel=0.1)
+    assert found(*signals(displacement=displacement, top=top, late=(0.0, 0.006, 0.0))).delay == pytest.approx(
+        6e-3, rel=0.1
+    )
+
+
 def test_noise_alone_is_hardly_ever_taken_for_a_fault():
     assert [found(*signals(seed=seed, force=0.5)) for seed in range(6)] == [None] * 6
 
