@@ -167,7 +167,7 @@ def human() -> None:
         laboratory = around_myoarm(level, joints=("elv_angle_r", "elbow_flexion_r"), turn_deg=180.0)
         recording = laboratory.record([ap.Multisine.draw(rms=1.0, seed=0)])
         for reference in ("thesis", "people"):
-            found = ap.compare(recording, reference)
+            found = ap.compare(recording, reference, ideal=True)
             size = found.to_frame().set_index("quantity").loc["stiffness: size"]
             distances = [f"{name} {found.distance[name]:.1f} ({found.usual[name]:.1f})" for name in found.distance]
             stiffness = f"stiffness {np.exp(size['value']):.0f} N/m, theirs {np.exp(size['mean']):.0f}"

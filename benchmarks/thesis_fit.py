@@ -17,8 +17,7 @@ from armperturb.analysis.arm.geometry import hand_jacobian, mass_matrix
 from armperturb.analysis.arm.linear_arm import arm_admittance
 from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.analysis.fit.admittance_fit import fit_admittance
-from armperturb.analysis.fit.admittance_problem import Target, penalty_factor
-from armperturb.analysis.fit.admittance_problem import _checked as prepared
+from armperturb.analysis.fit.admittance_problem import Target, checked_problem, penalty_factor
 from armperturb.analysis.fit.structures import STRUCTURES
 from armperturb.analysis.fit.thesis import VARTHETA
 from armperturb.cohort import draw_cohort
@@ -107,7 +106,7 @@ def main() -> None:
     arm = draw_cohort(1, 0, muscles="linear")[0].subjects["PT"]
     admittance = arm_admittance(arm, FREQUENCY)
     target = Target(frequency=FREQUENCY, admittance=admittance, body=arm, environment=ENVIRONMENT)
-    problem = prepared(target, STRUCTURE, "pade")
+    problem = checked_problem(target, STRUCTURE, "pade")
     plain_error = error_in_a_loop(admittance, arm)
     ours = seconds(lambda: (problem.residual(START, True), problem.jacobian(START, True)))
     plain = seconds(lambda: optimize.approx_fprime(np.ones(13), plain_error, 1e-4))

@@ -22,6 +22,7 @@ from armperturb.envs.lab.instruments import Instruments
 from armperturb.study.protocol import THESIS
 from armperturb.study.published import tables as published
 from armperturb.study.recording.practice import practise
+from armperturb.study.results.appendix_fits import joined
 
 N_PEOPLE = 4
 SEED = 3
@@ -54,12 +55,13 @@ def goodness(quantity: str, start: str) -> float:
 
 def main() -> None:
     recording = recordings()
-    as_published = fit_starts(recording, VARTHETA)
-    to_the_end = {
-        name: fit_trials(recording, "3b", initial=initial, as_published=False)
-        for name, initial in VARTHETA.items()
-        if name != "vartheta_i1"
-    }
+    people = [recording.isel(trial=recording["subject"].values == name) for name in np.unique(recording["subject"])]
+    as_published = joined(fit_starts(person, VARTHETA) for person in people)
+    starts = {name: initial for name, initial in VARTHETA.items() if name != "vartheta_i1"}
+    to_the_end = joined(
+        {name: fit_trials(person, "3b", initial=initial, as_published=False) for name, initial in starts.items()}
+        for person in people
+    )
     print(
         f"{'start':12} {'criterion':>10} {'published':>10} {'VAF x, y':>13} {'published':>11} "
         f"{'N_pos':>5} {'N_stab':>6}"

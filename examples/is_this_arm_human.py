@@ -32,10 +32,11 @@ print(f"{laboratory.model.nv} degrees of freedom and {laboratory.model.nu} actua
 # ## Beside people
 #
 # `compare` draws 16 people of our cohort and pushes them with the same force. A distance of 1 is the standard deviation
-# between people; `usual` is the distance that 95 % of the people keep from the others.
+# between people; `usual` is that within which 95 % of the people are. The model has no noise, so people have none
+# either.
 
 # %%
-likenesses = {level: ap.compare(recording, "people") for level, recording in recordings.items()}
+likenesses = {level: ap.compare(recording, "people", ideal=True) for level, recording in recordings.items()}
 for level, likeness in likenesses.items():
     distances = ", ".join(
         f"{group} {distance:.1f} (people {likeness.usual[group]:.1f})" for group, distance in likeness.distance.items()

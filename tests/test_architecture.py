@@ -15,8 +15,9 @@ ROOT = Path(armperturb.__file__).parent
 BASE = {"arrays", "memory", "validation", "extras", "seeds", "files", "foreign", "recording", "recording_files"}
 BASE |= {"jit", "muscle_law", "person_files", "subject", "environment", "joint_person"}
 ARM = BASE | {
-    "analysis.cuts", "analysis.defaults", "analysis.plateaus", "analysis.arm", "analysis.imbalance",
-    "analysis.force_balance", "analysis.trials", "analysis.per_trials", "analysis.manipulator", "analysis.numerics",
+    "analysis.cuts", "analysis.defaults", "analysis.plateaus", "analysis.arm", "analysis.excited_bands",
+    "analysis.imbalance", "analysis.force_balance", "analysis.trials", "analysis.per_trials", "analysis.manipulator",
+    "analysis.numerics",
     "analysis.results", "plots", "anthropometry",
 }  # fmt: skip
 ANALYSIS = ARM | {"analysis.response", "analysis.measures", "analysis.emg", "analysis.fit", "analysis.nonlinear"}
@@ -53,8 +54,9 @@ ARROWS = {
     "analysis.plateaus": BASE,
     "analysis.numerics": BASE,
     "analysis.arm": BASE,
-    "analysis.imbalance": BASE,
-    "analysis.force_balance": BASE | {"analysis.imbalance"},
+    "analysis.excited_bands": BASE,
+    "analysis.imbalance": BASE | {"analysis.excited_bands"},
+    "analysis.force_balance": BASE | {"analysis.excited_bands", "analysis.imbalance"},
     "plots": BASE,
     "pages": BASE | {"plots"},
     "analysis.results": BASE | {"plots"},

@@ -1,7 +1,9 @@
 """The documentation holds together: links, navigation, commands, symbols, equations; `make docs` builds it."""
 
+import ast
 import dataclasses
 import html
+import importlib.util
 import re
 import runpy
 import shutil
@@ -25,6 +27,9 @@ TEXTS = [*PAGES, *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "exa
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 HOOKS = runpy.run_path(str(DOCS / "hooks.py"))
 COMMANDS, REFERENCE = HOOKS["commands"](), HOOKS["reference"]()
+
+
+SCRIPTS = [path for folder in ("benchmarks", "docs", "examples") for path in sorted((ROOT / folder).rglob("*.py"))]
 
 
 def relative(path):
@@ -260,3 +265,20 @@ def test_versions_of_the_documentation_are_pinned():
     names = {line.partition("==")[0].lower() for line in pinned}
     assert {re.match(r"[\w-]+", package).group().lower() for package in extra} <= names
     assert pinned == sorted(pinned, key=str.lower)
+
+
+def test_scripts_import_what_there_is():
+    """They run by hand, seldom, and after a change of names would fail unnoticed."""
+    missing = []
+    for path in SCRIPTS:
+        nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        imports = [node for node in nodes if isinstance(node, ast.ImportFrom) and node.module]
+        for node in [node for node in imports if node.module.split(".")[0] == "armperturb"]:
+            module = importlib.import_module(node.module)
+            missing += [f"{relative(path)}: {alias.name}" for alias in node.names if not _has(module, alias.name)]
+    assert not missing
+
+
+def _has(module, name):
+    is_package = hasattr(module, "__path__")
+    return hasattr(module, name) or (is_package and importlib.util.find_spec(f"{module.__name__}.{name}") is not None)

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 
 from armperturb.arrays import Array, Indices
+from armperturb.recording import is_one_axis
 
 ARM_LABELS = ("l_h", "l_f", "theta_s_deg", "theta_e_deg")
 """Coordinates that only models of the arm need; NaN where they are unknown."""
@@ -17,6 +18,19 @@ CHOSEN_BY = {"subject": "--subject", "task": "--condition", "condition": "--cond
 
 ONE_VALUED = (*CHOSEN_BY, *ARM_LABELS)
 """Coordinates that all trials of a person in a condition share."""
+
+
+def require_two_axes(recording: xr.Dataset) -> None:
+    """Refuse a recording of one axis where an arm is wanted.
+
+    Raises:
+      ValueError: it is one.
+    """
+    if is_one_axis(recording):
+        raise ValueError(
+            "recording: one axis, of a joint or a single direction; expected the two of an arm (identify_joint and "
+            "response take one axis, and so do the commands identify and response)"
+        )
 
 
 def onset_samples(recording: xr.Dataset) -> Indices:

@@ -24,7 +24,8 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from scipy import fft, optimize, signal
 
-from armperturb.analysis.imbalance import Imbalance, excited_spectra, find_imbalance
+from armperturb.analysis.excited_bands import excited_spectra
+from armperturb.analysis.imbalance import Imbalance, find_imbalance
 from armperturb.arrays import Array, ComplexArray
 from armperturb.environment import Environment
 

@@ -16,24 +16,16 @@ import math
 from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
-from scipy import fft, optimize, signal, stats
+from scipy import optimize, stats
 
-from armperturb.arrays import Array, ComplexArray
+from armperturb.analysis.excited_bands import Spectra
+from armperturb.arrays import Array
 
 Kind: TypeAlias = Literal["gain", "gains", "rotation", "load", "force", "displacement", "perturbation", "unknown"]
 """What is wrong: the force's gain, or those in x and y; its axes; the manipulator; the clock of a signal."""
 
-EXCITED = 1e-3
-"""Power of the perturbation, relative to the largest, from which on a frequency counts [-]."""
-
-WIDTH = 0.1
-"""Width of the bands over which spectra are averaged [Hz]: a delay hardly turns the phase within one."""
-
 FEWEST = 10
 """Excited bands below which nothing is compared."""
-
-ROUND_OFF = 1e-8
-"""Least noise, relative to the signal [-]."""
 
 LATEST, STEP = 0.15, 5e-3
 """Largest delay that is looked for, and step of that search [s]."""
@@ -68,8 +60,11 @@ NAMED = 0.1
 AVERAGES = 16.0
 """Independent averages of a band from which on what follows the perturbation is told from noise."""
 
+ANSWER = 8
+"""Real numbers in the answer of a band to the perturbation, x and y to x and y."""
+
 FOLLOWS = 2.0
-"""What follows the perturbation over what noise would leave of that, from which on it is no noise [-]."""
+"""What follows the perturbation over what noise would leave of that, from which on a band counts [-]."""
 
 
 class Imbalance(NamedTuple):
@@ -90,24 +85,6 @@ class Imbalance(NamedTuple):
     bias: float
     delay: float = math.nan
     standard_error: float = math.inf
-
-
-class Spectra(NamedTuple):
-    """Products of d, f, acceleration, velocity and displacement in the bands that d excites, x and y of each.
-
-    Attributes:
-      frequency: mean of each band [Hz], (band,).
-      products: mean over lines and trials, SI, (band, 10, 10).
-      counts: lines and trials of each band, (band,).
-      shorter: factor by which tapering makes the record seem shorter [-].
-      least: standard deviations of round-off of force and displacement [N, m].
-    """
-
-    frequency: Array
-    products: ComplexArray
-    counts: Array
-    shorter: float
-    least: tuple[float, float]
 
 
 class _Fit(NamedTuple):
@@ -166,48 +143,6 @@ _DELAYED: dict[Kind, slice] = {"force": slice(2, 4), "displacement": slice(4, 10
 """Where in the products each signal is."""
 
 
-def excited_spectra(signals: tuple[Array, Array, Array], rate: float, edge: int, band: tuple[float, float]) -> Spectra:
-    """Spectra of a recording where the perturbation excites it.
-
-    Args:
-      signals: d, f and x [N, N, m], (trial, time, axis) each.
-      rate: of the samples [Hz].
-      edge: samples at either end on which the edges of filters lie.
-      band: lowest and highest frequency [Hz].
-    """
-    n_samples = signals[0].shape[1]
-    n_padded = fft.next_fast_len(n_samples + 4 * edge, real=True)
-    s = 2j * np.pi * fft.rfftfreq(n_padded, 1.0 / rate)
-    smooth = 0.5 - 0.5 * np.cos(np.pi * np.clip((1.4 - np.abs(s) / (2 * np.pi * band[1])) / 0.3, 0.0, 1.0))
-    n_inner = n_samples - 2 * edge
-    taper = signal.windows.hann(n_inner, sym=False)
-    taper /= np.linalg.norm(taper)
-    frequency = fft.rfftfreq(n_inner, 1.0 / rate)
-    used = (frequency > band[0]) & (frequency < band[1])
-    frequency = frequency[used]
-
-    def tapered(spectrum: ComplexArray) -> list[ComplexArray]:
-        inner = fft.irfft(spectrum * smooth[:, None], n_padded, axis=1)[:, edge : edge + n_inner]
-        lines = fft.rfft(inner * taper[:, None], axis=1)[:, used]
-        return [lines[..., 0], lines[..., 1]]
-
-    d, f, x = (fft.rfft(values, n_padded, axis=1) for values in signals)
-    columns = [*tapered(d), *tapered(f), *(line for power in (2, 1, 0) for line in tapered(x * (s**power)[:, None]))]
-    first = np.flatnonzero(np.diff(np.floor(frequency / WIDTH), prepend=-1.0))
-    lines = np.diff(first, append=len(frequency))
-    pushed = np.add.reduceat(sum(np.sum(np.abs(part) ** 2, axis=0) for part in columns[:2]), first) / lines
-    excited = (pushed > EXCITED * pushed.max()) & (pushed > 0.0)
-    counts = lines[excited] * float(len(signals[0]))
-    products = np.empty((len(counts), 10, 10), dtype=complex)
-    for i, left in enumerate(columns):
-        for j, right in enumerate(columns[: i + 1]):
-            sums = np.add.reduceat(np.sum(left * right.conj(), axis=0), first)[excited] / counts
-            products[:, i, j], products[:, j, i] = sums, sums.conj()
-    round_off = [ROUND_OFF * float(np.sqrt(np.mean(values**2))) for values in (signals[0] - signals[1], signals[2])]
-    middle = np.add.reduceat(frequency, first)[excited] / lines[excited]
-    return Spectra(middle, products, counts, n_inner * float(np.sum(taper**4)), (round_off[0], round_off[1]))
-
-
 def find_imbalance(spectra: Spectra) -> Imbalance | None:
     """What explains best why a force balance does not hold; None where it does, or too little is known."""
     if len(spectra.frequency) < FEWEST or min(spectra.least) <= 0.0:
@@ -220,7 +155,7 @@ def find_imbalance(spectra: Spectra) -> Imbalance | None:
 
 
 def _imbalance(spectra: Spectra) -> Imbalance | None:
-    none = _fitted(spectra, _BALANCE, _LOAD)
+    spectra, none = _started(spectra)
     weight = spectra.counts / none.density
     before, summed = 2.0 * float(weight @ none.power), _summed(spectra, weight)
     n_more = {kind: len(terms) - len(_LOAD) for kind, (_, terms) in _LINEAR.items()} | dict.fromkeys(_DELAYED, 1)
@@ -288,19 +223,9 @@ def _least_squares(summed: Array, base: Array, terms: list[Array]) -> tuple[Arra
 
 
 def _fitted(spectra: Spectra, base: Array, terms: list[Array]) -> _Fit:
-    """Fit a linear candidate and its noise in turn, and of all starts take the most likely.
-
-    Where displacement is noisy, its acceleration at high frequencies is noise, which makes a mass too small that starts
-    with equal weights. So another start weighs these less.
-    """
-    start = np.quantile(spectra.frequency, LOW)
-    densities = np.ones(len(spectra.frequency)), 1.0 + (spectra.frequency / start) ** 4
-    return min((_fitted_from(spectra, base, terms, each) for each in densities), key=lambda fit: fit.objective)
-
-
-def _fitted_from(spectra: Spectra, base: Array, terms: list[Array], density: Array) -> _Fit:
-    """The same from one density of the noise, (band,)."""
+    """Fit a linear candidate and its noise in turn."""
     s = 2j * np.pi * spectra.frequency
+    density = spectra.noise
     for _ in range(ROUNDS):
         values, _ = _least_squares(_summed(spectra, spectra.counts / density), base, terms)
         weights = base + np.tensordot(values, np.stack(terms), 1)
@@ -308,6 +233,19 @@ def _fitted_from(spectra: Spectra, base: Array, terms: list[Array], density: Arr
         stiffness = np.abs(values[0] * s**2 + values[1] * s + values[2]) ** 2
         density, objective = _noise(power, stiffness, spectra)
     return _Fit(values, weights, power, density, objective)
+
+
+def _started(spectra: Spectra) -> tuple[Spectra, _Fit]:
+    """The spectra with noise from which fits may start, and the fit of mass, damping and stiffness alone.
+
+    Where displacement is noisy, its acceleration at high frequencies is noise, which makes a mass too small that starts
+    with equal weights. If that is less likely, these frequencies weigh less.
+    """
+    steep = 1.0 + (spectra.frequency / np.quantile(spectra.frequency, LOW)) ** 4
+    tried = [spectra, spectra._replace(noise=steep)]
+    fits = [_fitted(each, _BALANCE, _LOAD) for each in tried]
+    better = int(fits[1].objective < fits[0].objective - PER_TERM)
+    return tried[better], fits[better]
 
 
 def _power(spectra: Spectra, weights: Array) -> Array:
@@ -453,7 +391,10 @@ def _following(spectra: Spectra, fit: _Fit) -> float:
     left = np.maximum(np.einsum("bii->b", mean[:, 2:, 2:]).real / 2.0 - follows, 0.0)
     averages = counts / spectra.shorter
     by_chance = 2.0 * left / np.maximum(averages - 2.0, 1.0)
-    if not counts @ follows > FOLLOWS * (counts @ by_chance):
+    # Each band counts by its own noise: one that is far noisier than others would decide alone.
+    times = follows / by_chance
+    if not ANSWER * float(times.sum()) > stats.chi2.isf(CHANCE, ANSWER * len(times)):
         return 0.0
+    beyond = np.where(times > FOLLOWS, follows - by_chance, 0.0)
     force = float(spectra.counts @ _power(spectra, signal_row(1)))
-    return math.sqrt(max(float(counts @ (follows - by_chance)), 0.0) / force)
+    return math.sqrt(float(counts @ beyond) / force)

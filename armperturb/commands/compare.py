@@ -24,13 +24,15 @@ class Compare(Command):
     out: Path
     """Folder for compare.csv, compare.svg and compare.txt."""
     reference: Annotated[Literal["thesis", "people"], tyro.conf.arg(name="with")] = "people"
-    """Linear arms drawn from the thesis's tables, or people of the cohort under the recording's perturbation."""
+    """Linear arms drawn from the thesis's tables, or people of the cohort; under the perturbation of each trial."""
     sidecar: Path | None = None
     """Sidecar of all recordings that need one, see docs/recordings.md; by default FILE.json beside each."""
     subject: str | None = None
     """Which subject, if the recordings hold several."""
     condition: str | None = None
     """Which condition, if they hold several."""
+    ideal: bool = False
+    """People without noise of their own and with perfect instruments, beside a model that has neither."""
     seed: int = 0
     """Of the people."""
     overwrite: bool = False
@@ -47,7 +49,7 @@ class Compare(Command):
         )
         require_new_results(self.out, RESULTS, overwrite=self.overwrite)
         try:
-            likeness = compare(recordings, self.reference, seed=self.seed)
+            likeness = compare(recordings, self.reference, ideal=self.ideal, seed=self.seed)
         except ValueError as error:
             raise ValueError(f"{', '.join(map(str, self.recordings))}: {error}") from None
         self.out.mkdir(parents=True, exist_ok=True)

@@ -11,10 +11,11 @@ import numpy as np
 from matplotlib.ticker import NullFormatter
 
 import armperturb as ap
+from armperturb.analysis.defaults import WINDOW_START
 from armperturb.envs.render.clip import Clip
 from armperturb.envs.render.replay import Replay
 from armperturb.plots.style import COLOURS, GREY, INK, PALE, PALETTE, in_style, new_figure, save_png
-from armperturb.study.comparison.likeness import HIGHEST, SETTLED, impedance_matrices
+from armperturb.study.comparison.likeness import HIGHEST, impedance_matrices
 
 FORCE = {"Position": 5.4, "Relax": 0.9}
 FILMS = {"Position": (10.0, 14.0, 1.0), "Relax": (10.0, 14.0, 1.0), "Pulse": (0.9, 1.7, 6.0)}
@@ -29,13 +30,9 @@ def subject(task):
 
 
 def trials(task, person):
-    """Multisines of the environment's force, without the person's noise, as `compare` pushes people."""
+    """Multisines of the environment's force, without the person's noise."""
     return [
-        ap.Trial(
-            subject=person,
-            perturbation=ap.Multisine.draw(seed=seed, rms=FORCE[task]),
-        )
-        for seed in range(N_TRIALS)
+        ap.Trial(subject=person, perturbation=ap.Multisine.draw(seed=seed, rms=FORCE[task])) for seed in range(N_TRIALS)
     ]
 
 
@@ -61,7 +58,7 @@ def film(task, folder):
 
 def admittance_of(recording):
     """Frequencies [Hz] and admittance [m/N] up to where `compare` looks."""
-    estimate = ap.response(recording, window_start=SETTLED)
+    estimate = ap.response(recording, window_start=WINDOW_START)
     chosen = estimate.frequency <= HIGHEST
     return estimate.frequency[chosen], estimate.response[chosen]
 
@@ -86,7 +83,7 @@ def main(folder):
     for task, axes in zip(FORCE, figure.subplots(2, 3), strict=True):
         person, colours = subject(task), {"trained policy": COLOURS[subject(task).task], "own action": PALETTE[2]}
         recordings = {name: record(task, agent, trials(task, person)) for name, agent in agents(task).items()}
-        likeness = ap.compare(recordings["trained policy"], "people")
+        likeness = ap.compare(recordings["trained policy"], "people", ideal=True)
         far = [f"{group} {value:.1f} ({likeness.usual[group]:.1f})" for group, value in likeness.distance.items()]
         print(task, ", ".join(far), flush=True)
         for k, ax in enumerate(axes[:2]):

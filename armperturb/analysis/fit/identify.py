@@ -1,5 +1,6 @@
 """From a recording to the arm: admittance, environment, arm model and how well it predicts (thesis 2.6, 2.7)."""
 
+import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from armperturb.analysis.arm.linear_arm import arm_admittance
 from armperturb.analysis.arm.state_space import largest_real_pole
+from armperturb.analysis.cuts import require_two_axes
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START, Estimator
 from armperturb.analysis.fit.arm_fit import ArmFit
 from armperturb.analysis.fit.group import Group, parts_by_condition
@@ -219,11 +221,12 @@ def identify(
 
     Raises:
       TypeError: trials are no `Dataset`, or an option is no number.
-      ValueError: the recording is refused, holds several subjects, conditions or postures, or gives no spectra; or an
-        option is out of its range.
+      ValueError: the recording is refused, is of one axis, holds several subjects, conditions or postures, or gives no
+        spectra; or an option is out of its range.
     """
     parts = tuple(prepared_condition(trials))
     for part in parts:
+        require_two_axes(part.recording)
         part.body  # noqa: B018  (refuses an unknown posture)
     return identify_conditions(
         {parts[0].label: parts},
@@ -289,6 +292,8 @@ def identify_conditions(
         conditions = {label: tuple(prepared_recordings(parts)) for label, parts in trials.items()}
     else:
         conditions = parts_by_condition(trials)
+    for part in itertools.chain(*conditions.values()):
+        require_two_axes(part.recording)
     perturbed = {
         label: parts for label, parts in conditions.items() if all(part.is_perturbed(window_start) for part in parts)
     }

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from armperturb.analysis.cuts import require_two_axes
 from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.emg.envelope import Envelopes
 from armperturb.analysis.nonlinear.choice import Choice, compare_laws
@@ -144,6 +145,7 @@ def identify_nonlinear(
     """
     load_compiled_arm()  # what is wrong is refused before anything that takes time
     check_recording(recording)
+    require_two_axes(recording)
     require_whole("identify_nonlinear", "threads", threads, at_least=1)
     require_draws("identify_nonlinear", n_pairs, n_pairs_of_errors)
     if law != "choose":

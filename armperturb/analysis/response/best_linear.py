@@ -37,6 +37,7 @@ import numpy as np
 import xarray as xr
 from scipy import interpolate, stats
 
+from armperturb.analysis.cuts import require_two_axes
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, SETTLED
 from armperturb.analysis.response.closed_loop import HIGHEST_ORDER, periodic_trials, whole_window
 from armperturb.analysis.response.frequency_response import FrequencyResponse
@@ -207,10 +208,11 @@ def best_linear(
 
     Raises:
       TypeError: recordings are no `Dataset`.
-      ValueError: as `estimate_multisine`; trials differ in subject, task, condition or posture; or lines of a cluster
-        or periods are too few.
+      ValueError: as `estimate_multisine`; there is one axis; trials differ in subject, task, condition or posture; or
+        lines of a cluster or periods are too few.
     """
     several = prepared_condition(recordings)
+    require_two_axes(several[0].recording)
     trials = periodic_trials(several, period=period, window_start=window_start, lines_per_average=lines_per_average)
     shortest = min(map(len, trials.groups))
     if shortest < 3:

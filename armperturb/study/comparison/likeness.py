@@ -5,9 +5,10 @@ and for each person of a reference in the same way: the impedance Z = H^-1 is fi
 frequencies, by least squares in which each frequency counts alike. What delayed reflexes do at these frequencies is in
 all three, for the arm and for the people alike.
 
-References are "thesis", linear arms drawn from the published means and SDs of parameters, whose admittance is known,
-and "people", people of our cohort with nonlinear muscles, whose admittance depends on the perturbation: they meet the
-force that the arm met.
+References are "thesis", linear arms drawn from the published means and SDs of parameters, and "people", people of our
+cohort with nonlinear muscles. Each meets the force of each of the arm's trials, with a person's noise and that of the
+instruments unless the arm has none: what a few trials leave unknown, and how noise softens muscle, is then in the
+reference as it is in a recording of a person.
 """
 
 import itertools
@@ -22,21 +23,24 @@ import xarray as xr
 from armperturb.analysis.arm.geometry import hand_jacobian
 from armperturb.analysis.arm.linear_arm import arm_admittance
 from armperturb.analysis.arm.state_space import largest_real_pole
+from armperturb.analysis.cuts import require_two_axes
 from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.measures.endpoint import EndpointMatrix
 from armperturb.analysis.response.estimate import response
 from armperturb.analysis.results import Description, Result, Table
-from armperturb.analysis.trials import prepared_condition
+from armperturb.analysis.trials import ConditionTrials, prepared_condition, records_of
 from armperturb.arrays import Array, ComplexArray
 from armperturb.cohort import draw_person, draw_subject
+from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
+from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Sampled
 from armperturb.plots.style import COLOURS, GREY, INK, PALE, figure_for, in_style
 from armperturb.recording import named
 from armperturb.subject import POSITION, RELAX, TASKS, Subject
-from armperturb.validation import require_one_of, require_whole
+from armperturb.validation import require_one_of, require_type, require_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -76,7 +80,7 @@ class Likeness(Result):
       reference_gains: of the people, (person, frequency, 2).
       table: group, quantity, value, people's mean and SD, unit, and the distance in SDs.
       distance: group to the root mean square of its quantities' distances [SD].
-      usual: group to the distance that 95 % of the people keep from the others [SD].
+      usual: group to the distance within which 95 % of the people are of the others [SD].
     """
 
     label: str
@@ -134,21 +138,27 @@ class Likeness(Result):
         return figure
 
 
-def compare(recording: xr.Dataset | Sequence[xr.Dataset], reference: str = "people", *, seed: int = 0) -> Likeness:
+def compare(
+    recording: xr.Dataset | Sequence[xr.Dataset], reference: str = "people", *, ideal: bool = False, seed: int = 0
+) -> Likeness:
     """An arm beside people: admittance, ellipses at the hand, and joint parameters where the geometry is known.
 
     Args:
       recording: trials of one arm in one condition under multisines; its task says which people.
       reference: "thesis" or "people".
+      ideal: whether people have no noise of their own and perfect instruments, beside a model that has neither.
       seed: of whom is drawn.
 
     Raises:
-      TypeError: recording is no `Dataset`, or seed no whole number.
-      ValueError: reference is something else, seed is negative, nobody has the arm's posture, or as `response`.
+      TypeError: recording is no `Dataset`, ideal no truth value, or seed no whole number.
+      ValueError: there is one axis, reference is something else, seed is negative, nobody has the arm's posture, or as
+        `response`.
     """
     require_one_of("compare", "reference", reference, REFERENCES)
     require_whole("compare", "seed", seed, at_least=0)
+    require_type("compare: ideal", ideal, bool, "True or False")
     several = prepared_condition(recording)
+    require_two_axes(several[0].recording)
     first = several[0].recording
     task = str(first["task"].values[0])
     require_one_of("recording", "task", task, TASKS)
@@ -158,16 +168,18 @@ def compare(recording: xr.Dataset | Sequence[xr.Dataset], reference: str = "peop
     geometry: dict[str, Any] = {name: float(first[name].values[0]) for name in GEOMETRY}
     known = bool(np.isfinite([*geometry.values()]).all())
     try:
-        bodies = _drawn(reference, task, seed, geometry if known else {})
+        people = _drawn(reference, task, seed, geometry if known else {})
     except ValueError as error:
         raise ValueError(
             f"recording: no person has its posture: {error} (--turn-deg turns the axes of a model)"
         ) from None
-    if reference == "thesis":
-        of_people = np.stack([arm_admittance(body, frequency) for body in bodies])
+    if reference == "thesis" and ideal:
+        of_people = np.stack([arm_admittance(person, frequency) for person in people])
     else:
-        of_people = _under_the_same_force(bodies, first, frequency)
-    arm = bodies[0] if known else None  # of which only the geometry counts
+        recordings = _under_the_same_forces(people, several, seed, linear=reference == "thesis", ideal=ideal)
+        each_estimate = (response(recorded, window_start=WINDOW_START) for recorded in recordings)
+        of_people = np.stack([estimate.at(frequency).response for estimate in each_estimate])
+    arm = people[0] if known else None  # of which only the geometry counts
     values = _quantities(frequency, admittance, arm)
     each = [_quantities(frequency, response_of_one, arm) for response_of_one in of_people]
     table = _table(values, each)
@@ -200,13 +212,25 @@ def _drawn(reference: str, task: str, seed: int, geometry: Mapping[str, Any]) ->
     return people
 
 
-def _under_the_same_force(people: Sequence[Subject], recording: xr.Dataset, frequency: Array) -> ComplexArray:
-    """Admittance of people whom the first perturbation of a recording pushes [m/N], (person, frequency, axis, axis)."""
-    rate = float(recording.attrs["rate"])
-    force = Sampled(force=recording["perturbation"].values[0], rate=rate)
-    recorded = run_experiment([Trial(subject=person, perturbation=force) for person in people], engine="compiled")
-    each = (response(recorded.isel(trial=[i]), window_start=WINDOW_START) for i in range(len(people)))
-    return np.stack([estimate.at(frequency).response for estimate in each])
+def _under_the_same_forces(
+    people: Sequence[Subject], recorded: Sequence[ConditionTrials], seed: int, *, linear: bool, ideal: bool
+) -> list[list[xr.Dataset]]:
+    """Recordings of each person, a trial for each recorded force."""
+    instruments = None if ideal else Instruments(emg=None, marker_noise=None)
+    forces = [record.perturbation for record in records_of(recorded, 0.0)]
+    of_force = []
+    for number, force in enumerate(forces):
+        trials = [
+            Trial(
+                subject=person,
+                perturbation=Sampled(force=force, rate=recorded[0].rate),
+                seed=seed + len(forces) * place + number,
+                noise=None if ideal else HUMAN_NOISE[person.task],
+            )
+            for place, person in enumerate(people)
+        ]
+        of_force.append(run_experiment(trials, linear=linear, engine="compiled", instruments=instruments))
+    return [[trials.isel(trial=[place]) for trials in of_force] for place in range(len(people))]
 
 
 def _gains(admittance: ComplexArray) -> Array:
@@ -285,9 +309,11 @@ def _quarter(angle: Array) -> Array:
 
 
 def _usual(each: Sequence[Rows]) -> dict[str, float]:
-    """Distance per group that 95 % of people keep from the others."""
+    """Distance per group within which 95 % of people are of the others, as far as so many people tell."""
     distances = [_distances(_table(rows, [*each[:i], *each[i + 1 :]])) for i, rows in enumerate(each)]
-    return {str(name): float(value) for name, value in pd.DataFrame(distances).quantile(0.95).items()}
+    frame = pd.DataFrame(distances)
+    # One more person is as likely to lie between any two of these.
+    return {str(name): float(np.quantile(frame[name], 0.95, method="weibull")) for name in frame}
 
 
 def _distances(table: pd.DataFrame) -> dict[str, float]:

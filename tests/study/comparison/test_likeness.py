@@ -29,15 +29,34 @@ def test_the_matrices_of_a_mass_spring_and_damper_are_found():
 
 @pytest.mark.slow(reason="draws people and simulates a trial of each")
 def test_a_person_is_human_and_an_arm_of_iron_is_not():
-    human = ap.compare(linear_trial(ap.POSITION), "thesis")
+    human = ap.compare(linear_trial(ap.POSITION), "thesis", ideal=True)
     assert all(human.is_human(group) for group in human.distance), human.distance
     iron = linear_trial(replace(ap.POSITION, k_s=3000.0, k_e=3000.0, b_s=90.0, b_e=90.0, m_f=8.0))
     for reference in ("thesis", "people"):
-        told_apart = ap.compare(iron, reference)
+        told_apart = ap.compare(iron, reference, ideal=True)
         assert not any(told_apart.is_human(group) for group in told_apart.distance), told_apart.distance
         assert "not as people's" in repr(told_apart)
         assert set(told_apart.to_frame()["group"]) == {"admittance", "ellipses", "parameters"}
         assert len(told_apart.plot().axes) == 2
+
+
+@pytest.mark.slow(reason="draws people and simulates two trials of each")
+@pytest.mark.parametrize("task", ["PT", "RT"])
+def test_noise_pulses_and_few_trials_make_nobody_inhuman(task):
+    person, force = ap.draw_person(764, 0).subjects[task], {"PT": 5.4, "RT": 0.9}[task]
+    multisines = [ap.Multisine.draw(rms=force, seed=seed, crested=False) for seed in (1, 2)]
+    trials = [
+        ap.Trial(
+            subject=person,
+            perturbation=ap.MultisineThenPulse.join(multisine, peak=50.0, direction_deg=20.0),
+            seed=seed,
+            noise=ap.HUMAN_NOISE[task],
+        )
+        for seed, multisine in enumerate(multisines)
+    ]
+    recording = ap.run_experiment(trials, engine="compiled", instruments=ap.Instruments(emg=None))
+    likeness = ap.compare(recording, "people", seed=5)
+    assert all(likeness.is_human(group) for group in likeness.distance), likeness.distance
 
 
 def test_an_unknown_reference_is_refused():
