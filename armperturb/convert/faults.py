@@ -292,7 +292,7 @@ def find_stuck(timed: Timed) -> list[Fault]:
                 continue
             if name == "displacement" and timed.servo == "position":  # which may hold its position
                 continue
-            plateaus = clipped_stretches(samples)
+            plateaus = clipped_stretches(samples, is_command=name == "perturbation")
             if plateaus:
                 first, last = min(plateaus)
                 clipped = f"clipped at {samples[first]:.6g} for {(last - first) / rate:.4g} s at {first / rate:.6g} s"

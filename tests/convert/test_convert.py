@@ -529,6 +529,20 @@ def test_clipped_and_stuck_channels_are_refused_with_their_time(tmp_path):
     assert found.recording.sizes["trial"] == 1
 
 
+def test_a_square_perturbation_is_read_and_a_clipped_one_refused(tmp_path):
+    values = table(1)
+    square = 3.0 * np.sign(np.random.default_rng(4).normal(size=(N_TIME // 10, 2))).repeat(10, axis=0)
+    values[:, F] += square - values[:, D]
+    values[:, D] = square
+    found = import_recording([write(tmp_path, values)])
+    np.testing.assert_array_equal(found.recording["perturbation"].values[0], square)
+    assert found.notes == ()
+    values = table(1)
+    values[:, D] = values[:, D].clip(-3.0, 3.0)
+    with pytest.raises(ValueError, match=r"Dx \(perturbation\) is clipped at 3 for"):
+        import_recording([write(tmp_path, values)])
+
+
 @pytest.mark.slow(reason="three recordings, as text")
 def test_coarse_encoders_and_pulses_are_not_taken_for_clipped(tmp_path):
     for step in (1e-5, 3e-5, 1e-4):
