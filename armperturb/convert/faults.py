@@ -6,7 +6,7 @@
 | `drops` | times that skip samples and stay behind | the same, up to 0.025 s |
 | `clock` | times that run at another rate than stated, or not evenly | by a cubic spline on even times |
 | `stretch` | values that are missing for longer than that | by a cut to the longest stretch without |
-| `lengths` | trials, or signals of a trial, that do not last equally long | by a cut to the shortest |
+| `lengths` | trials, or signals of one (by up to a tenth), that do not last equally long | by a cut to the shortest |
 | `trials` | any fault that is not repaired otherwise | by leaving out the trial |
 
 Channels that are stuck, clipped or hold their last value can only be left out with their trial. Times that step back
@@ -47,6 +47,10 @@ FOLLOW = 0.2
 
 OFF = 0.1
 """Largest relative deviation of a clock from the stated rate that is repaired [-]; beyond, rate or unit is wrong."""
+
+
+LARGEST_RATIO = 1.1
+"""Largest ratio of the lengths of signals that are cut to the shortest [-]; beyond, their rates differ."""
 
 
 class Fault(NamedTuple):
@@ -327,6 +331,14 @@ def equal_lengths(timed: Timed, names: Collection[str]) -> tuple[Timed, list[Fau
     rates, end = {timed.rates[name] for name in names}, lengths[shortest]
     if lengths[longest] - end <= (1.0 / min(rates) if len(rates) > 1 else 0.0) + 1e-9:
         return timed, []
-    text = f"{longest} lasts {lengths[longest]:.6g} s and {shortest} {end:.6g} s; expected equal lengths"
+    text = f"{longest} lasts {lengths[longest]:.6g} s and {shortest} {end:.6g} s"
+    rates_differ = lengths[longest] > LARGEST_RATIO * end
+    why = f": {other_rate(shortest, longest, lengths[longest] / end)}" if rates_differ else "; expected equal lengths"
     cut = {name: timed.signals[name][: round(end * timed.rates[name])] for name in names}
-    return replace(timed, signals={**timed.signals, **cut}), [Fault("lengths", text)]
+    fault = Fault("lengths", text + why, not rates_differ)
+    return replace(timed, signals={**timed.signals, **cut}), [fault]
+
+
+def other_rate(few: str, many: str, ratio: float) -> str:
+    """What is wrong where a signal has fewer samples than another by such a ratio, and what to do."""
+    return f"their rates seem to differ by a factor of {ratio:.4g} (resample {few} to the times of {many} in the file)"

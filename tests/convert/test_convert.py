@@ -512,6 +512,29 @@ def test_unequal_lengths_are_refused_and_cut_if_asked(tmp_path):
     assert "all are cut to the shortest" in found.notes[0]
 
 
+def test_signals_of_other_rates_are_not_cut_to_one_length(tmp_path):
+    d, f, x = handle()
+    path = tmp_path / "lab.npz"
+    sidecar = {**meaning(), "signals": {}}
+    del sidecar["trial"]
+    for name, field in meaning()["signals"].items():
+        channels = {axis: f"{name}(time,{at})" for at, axis in enumerate("xy", 1)}
+        sidecar["signals"][name] = {**field, "channels": channels}
+    path.with_suffix(".json").write_text(json.dumps(sidecar))
+    said = r"their rates seem to differ by a factor of {} \(resample displacement to the times of {} in the file\)"
+    for kept, factor in ((x[::5], "5"), (x[:800], "1.5")):
+        np.savez(path, perturbation=d, force=f, displacement=kept, t=np.arange(N_TIME) / RATE)
+        message = said.format(factor, "perturbation") + ".*expected one rate of all signals but EMG"
+        with pytest.raises(ValueError, match=message) as caught:
+            import_recording([path], repair="lengths")
+        assert "--repair lengths" not in str(caught.value)
+    (tmp_path / "timed.json").write_text(json.dumps(sidecar | TIMED))
+    with pytest.raises(ValueError, match=f"has 800 samples and t 1200: {said.format('1.5', 't')}; expected as many"):
+        import_recording([path], sidecar=tmp_path / "timed.json")
+    np.savez(path, perturbation=d, force=f, displacement=x[:1100])
+    assert import_recording([path], repair="lengths").recording.sizes["time"] == 1100
+
+
 def test_clipped_and_stuck_channels_are_refused_with_their_time(tmp_path):
     values = table()
     clipped, stuck = values.copy(), values.copy()
