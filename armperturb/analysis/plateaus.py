@@ -14,14 +14,28 @@ STEEP = 0.3
 BEYOND = 3.0
 """Extrapolated height above a plateau that counts as clipping, in resolutions of the channel [-]."""
 
+LEVEL = 0.05
+"""Share of the samples that are not zero which one level of a square wave has at least [-]."""
 
-def clipped_stretches(values: Array) -> list[tuple[int, int]]:
+AT_LEVELS = 0.8
+"""Share of them that all its levels have together, at least [-]; a clipped signal is at its two limits for less."""
+
+
+def clipped_stretches(values: Array, *, is_command: bool = False) -> list[tuple[int, int]]:
     """First sample and end of each stretch at the largest or smallest value that is entered and left steeply.
 
     Args:
       values: of one channel, (time,), not all equal.
+      is_command: whether it is a perturbation, which may be a square wave of two or more levels; it has none then.
     """
+    if is_command and _is_square(values):
+        return []
     return [*_plateaus(values), *_plateaus(-values)]
+
+
+def _is_square(values: Array) -> bool:
+    counts = np.unique(values[values != 0.0], return_counts=True)[1]  # it may rest before and after
+    return float(counts[counts >= LEVEL * counts.sum()].sum()) > AT_LEVELS * float(counts.sum())
 
 
 def _plateaus(values: Array) -> list[tuple[int, int]]:

@@ -12,7 +12,7 @@ from scipy import signal
 from armperturb.analysis.cuts import ARM_LABELS
 from armperturb.arrays import Array
 from armperturb.convert.checks import require_signal
-from armperturb.convert.faults import Fault, Timed, even_times
+from armperturb.convert.faults import LARGEST_RATIO, Fault, Timed, even_times, other_rate
 from armperturb.convert.raw import RawTrial
 from armperturb.convert.sidecar import FIRST, Sidecar, Signal
 from armperturb.convert.tables import Repair
@@ -75,9 +75,12 @@ def timed_signals(where: str, raw: RawTrial, meaning: Sidecar) -> tuple[Timed, l
         require_signal(where, channel, raw.channels[channel][:, None])
         time = raw.channels[channel] * factor
         for name in without_rate:
-            if len(signals[name]) != len(time):
+            few, many = sorted(((len(signals[name]), name), (len(time), channel)))
+            if few[0] != many[0]:
+                ratio = many[0] / max(few[0], 1)
+                why = f": {other_rate(few[1], many[1], ratio)}" if ratio > LARGEST_RATIO else ""
                 raise ValueError(
-                    f"{where}: {name} has {len(signals[name])} samples and {channel} {len(time)}; expected as many"
+                    f"{where}: {name} has {len(signals[name])} samples and {channel} {len(time)}{why}; expected as many"
                 )
         finite = np.isfinite(time)
         n_time = len(time) - int(np.argmax(finite[::-1])) if finite.any() else len(time)

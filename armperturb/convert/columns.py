@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from armperturb.convert.reading import C3D, TEXT
 from armperturb.convert.sidecar import Dialect
 from armperturb.convert.tables import TABLES
-from armperturb.convert.text import lines_of
+from armperturb.convert.text import is_row_of_text, lines_of
 from armperturb.convert.units import UNITS
 from armperturb.files import require_input
 from armperturb.foreign import LARGEST, read_foreign
 
 WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
-_UNITS = "|".join(sorted({unit for known in UNITS.values() for unit in known} - {""}))
+_KNOWN = {unit for known in UNITS.values() for unit in known} - {""}
+_UNITS = "|".join(sorted(_KNOWN))
 _UNIT = re.compile(rf"\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$|[\s_.-]+({_UNITS})$")
 
 
@@ -58,12 +59,7 @@ def dialect_of(path: Path) -> Dialect:
       ValueError: the file is no text, too large, or has too long a line.
       OSError: it cannot be read.
     """
-    require_input(path, LARGEST)
-    try:
-        with path.open(encoding="utf-8-sig") as file:
-            lines = "".join(islice(lines_of(file, path), 50)).rstrip("\r\n").splitlines()
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{path}: no readable text ({error}); expected columns in UTF-8") from None
+    lines = _first_lines(path, 50)
     best, length, width = Dialect(), 0, 1
     for delimiter in (";", "\t", ",", " "):
         counts = [line.count(delimiter) for line in lines]
@@ -72,7 +68,46 @@ def dialect_of(path: Path) -> Dialect:
             length, width = len(lines) - start, counts[-1]
             comma = delimiter != "," and bool(re.search(r"\d,\d", lines[-1]))
             best = Dialect(delimiter, "," if comma else ".", start)
-    return best
+    rows = _rows(lines[best.skip_lines :], best) if length else []
+    return best._replace(skip_lines=best.skip_lines + _row_of_names(rows, best.decimal))
+
+
+def _first_lines(path: Path, number: int) -> list[str]:
+    require_input(path, LARGEST)
+    try:
+        with path.open(encoding="utf-8-sig") as file:
+            return "".join(islice(lines_of(file, path), number)).rstrip("\r\n").splitlines()
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path}: no readable text ({error}); expected columns in UTF-8") from None
+
+
+def _rows(lines: Sequence[str], dialect: Dialect) -> list[list[str]]:
+    return [[field.strip().strip('"') for field in line.split(dialect.delimiter)] for line in lines]
+
+
+def _row_of_names(rows: Sequence[Sequence[str]], decimal: str) -> int:
+    """Which row holds the names: the last above the numbers, or that before it if the last is one of units.
+
+    The title above a table of a spreadsheet has as many fields as the table, most of them empty.
+    """
+    numbers = [
+        at for row in rows[-1:] for at, field in enumerate(row) if field and not is_row_of_text([field], decimal)
+    ]
+
+    def has_numbers(row: Sequence[str]) -> bool:
+        fields = [row[at] for at in numbers]
+        return any(fields) and not any(is_row_of_text([field], decimal) for field in fields)
+
+    first = next((at for at, row in enumerate(rows) if has_numbers(row)), 0)
+    if first < 2:
+        return 0
+    above, last = ({*row} - {""} for row in rows[first - 2 : first])
+    is_units = len(above) > len(last) or (len(above) == len(last) and {_bare(field) for field in last} <= _KNOWN)
+    return first - 2 if is_units else first - 1
+
+
+def _bare(unit: str) -> str:
+    return unit.strip("[]() ")
 
 
 def columns_of(path: Path, dialect: Dialect) -> list[Column]:
@@ -88,19 +123,26 @@ def columns_of(path: Path, dialect: Dialect) -> list[Column]:
       OSError: it cannot be read.
     """
     if path.suffix.lower() in TEXT:
+        start = dialect.skip_lines
+        below = _rows(_first_lines(path, start + 2)[start + 1 :], dialect)
+        units = below[0] if below and is_row_of_text(below[0], dialect.decimal) else []
         try:
             table = pd.read_csv(
                 path,
                 sep=dialect.delimiter,
                 decimal=dialect.decimal,
-                skiprows=dialect.skip_lines,
+                skiprows=[*range(start), *([start + 1] if units else [])],
                 encoding="utf-8-sig",
                 index_col=False,
                 low_memory=False,
             )
         except (ValueError, OverflowError) as error:
             raise ValueError(f"{path}: no readable table ({' '.join(str(error).split())}); expected columns") from None
-        return [Column(str(name).strip(), str(name).strip(), table[name].to_numpy()) for name in table]
+        columns = [Column(str(name).strip(), str(name).strip(), table[name].to_numpy()) for name in table]
+        for at, unit in enumerate(units[: len(columns)]):
+            if not columns[at].words()[1]:
+                columns[at] = columns[at]._replace(unit=_bare(unit))
+        return columns
     content = read_foreign(path)
     if path.suffix.lower() in C3D:
         return [Column(name, name, part["values"], part["unit"], part["rate"]) for name, part in content.items()]

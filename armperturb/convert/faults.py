@@ -3,10 +3,10 @@
 | fault | seen as | repaired as |
 |---|---|---|
 | `gaps` | values that are missing | by a cubic spline through the others: up to 0.025 s of forces, 0.1 s of paths |
-| `drops` | times that step by several samples | the same, up to 0.025 s |
+| `drops` | times that skip samples and stay behind | the same, up to 0.025 s |
 | `clock` | times that run at another rate than stated, or not evenly | by a cubic spline on even times |
 | `stretch` | values that are missing for longer than that | by a cut to the longest stretch without |
-| `lengths` | trials, or signals of a trial, that do not last equally long | by a cut to the shortest |
+| `lengths` | trials, or signals of one (by up to a tenth), that do not last equally long | by a cut to the shortest |
 | `trials` | any fault that is not repaired otherwise | by leaving out the trial |
 
 Channels that are stuck, clipped or hold their last value can only be left out with their trial. Times that step back
@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import interpolate
 
 from armperturb.analysis.plateaus import LEAST_RUN, clipped_stretches, runs
@@ -35,8 +36,21 @@ LONGEST_SLOW_GAP = 0.1
 ROUNDED = 0.15
 """Largest deviation of a time from even times, relative to a step [-]: some files hold whole milliseconds."""
 
+SKIPPED = 1.3
+"""Steps that are all shorter than this, in usual ones, skip no sample [-]."""
+
+AHEAD = 20
+"""Samples that must stay late for one to be missing before them; a late time alone does not."""
+
+FOLLOW = 0.2
+"""How far the level of the times follows each of them [-]: some clocks wander, and loops may wait after each sample."""
+
 OFF = 0.1
 """Largest relative deviation of a clock from the stated rate that is repaired [-]; beyond, rate or unit is wrong."""
+
+
+LARGEST_RATIO = 1.1
+"""Largest ratio of the lengths of signals that are cut to the shortest [-]; beyond, their rates differ."""
 
 
 class Fault(NamedTuple):
@@ -112,10 +126,12 @@ def even_times(
             "increasing times (two recordings in one file need a channel 'trial' that numbers them)"
         )
     usual = float(np.median(steps))
-    rate = stated if stated is not None else _rate_of(time, steps, usual)
+    usual = float(steps[np.abs(steps - usual) < 0.6 * usual].mean())
+    missing = _missing(steps / usual)
+    index = np.concatenate([[0], np.cumsum(missing + 1)])
+    step, first = _line(index, time)
+    rate = stated if stated is not None else _rate_of(step, len(time))
     faults = []
-    missing = np.rint(steps / usual).astype(np.int64) - 1
-    missing[steps < 1.5 * usual] = 0
     for at in np.flatnonzero(missing).tolist():
         what = (
             f"{missing[at]} samples are dropped at {time[at]:.6g} s (time steps by {1e3 * steps[at]:.4g} ms, usually "
@@ -123,12 +139,10 @@ def even_times(
         )
         can = bool(steps[at] <= min(LONGEST_GAP.values()) + 0.1 * usual)  # all signals miss them
         faults.append(Fault("drops", what, can))
-    index = np.concatenate([[0], np.cumsum(missing + 1)])
-    off = np.abs(time - index / rate)
+    off = np.abs(time - first - index / rate)
     if off.max() > ROUNDED / rate:
         at = int(np.argmax(off > ROUNDED / rate))
-        # A fit to the whole trial, so that single late samples do not count.
-        of_times = float(np.polyfit(time, index, 1)[0])
+        of_times = 1.0 / step
         drifts = abs(of_times / rate - 1.0) * len(time) > ROUNDED
         what = f"time runs at {of_times:.6g} Hz" if drifts else "time does not run evenly"
         near = abs(of_times / rate - 1.0) < OFF
@@ -138,18 +152,49 @@ def even_times(
     if faults and all(fault.can for fault in faults):  # others may claim any length
         there, grid = index.astype(float), np.arange(index[-1] + 1, dtype=float)
         if off.max() > ROUNDED / rate:
-            there, grid = time, np.arange(math.floor(float(time[-1]) * rate * (1 + 1e-12)) + 1) / rate
+            # Of the line, so that trials whose last times are early or late have one length.
+            n_even = math.floor(float(step * index[-1] * rate) + ROUNDED) + 1
+            there, grid = time, first + np.arange(n_even) / rate
         signals = {name: _between(there, values, grid) for name, values in signals.items()}
     return signals, rate, faults
 
 
-def _rate_of(time: Array, steps: Array, usual: float) -> float:
+def _missing(steps: Array) -> NDArray[np.int64]:
+    """Number of samples that are missing in each step, from times that may be early or late by half a step.
+
+    Args:
+      steps: between the times, in usual ones, (step,).
+    """
+    missing = np.zeros(len(steps), dtype=np.int64)
+    if steps.max() < SKIPPED:
+        return missing
+    late = np.cumsum(np.minimum(steps, 1e15) - 1.0)
+    level = latest = 0.0
+    for at, value in enumerate(late.tolist()):
+        off = value - level
+        if off > 0.5:
+            ahead = np.sort(late[at + 1 : at + 1 + AHEAD]) - level
+            # Nothing follows the last time, which may just be as late as others.
+            stays = float(ahead[len(ahead) // 4]) if len(ahead) else off - latest
+            missing[at] = max(round(min(off, stays)), 0)
+            off -= missing[at]
+            level += missing[at]
+        latest = max(latest, off)
+        level += FOLLOW * min(max(off, -0.5), 0.5)
+    return missing
+
+
+def _line(index: NDArray[np.int64], time: Array) -> tuple[float, float]:
+    """Step and start of the straight line through the times, by least squares [s, s]."""
+    centred = index - index.mean()
+    step = float(centred @ time / (centred @ centred))
+    return step, float(time.mean() - step * index.mean())
+
+
+def _rate_of(step: float, n_time: int) -> float:
     """Sampling rate that fits the times [Hz]: a whole number if one does."""
-    regular = steps < 1.5 * usual
-    rate = float(regular.sum() / steps[regular].sum())
-    whole = float(max(round(rate), 1))
-    drift = abs(whole / rate - 1.0) * len(time)
-    return whole if drift < ROUNDED else rate
+    whole = float(max(round(1.0 / step), 1))
+    return whole if abs(whole * step - 1.0) * n_time < ROUNDED else 1.0 / step
 
 
 def _between(at: Array, values: Array, grid: Array) -> Array:
@@ -158,7 +203,8 @@ def _between(at: Array, values: Array, grid: Array) -> Array:
     for column, of_one in enumerate(values.T):
         there = np.isfinite(of_one)
         if there.sum() >= 4:
-            out[:, column] = interpolate.CubicSpline(at[there], of_one[there], extrapolate=False)(grid)
+            spline = interpolate.CubicSpline(at[there], of_one[there], extrapolate=False)
+            out[:, column] = spline(np.clip(grid, at[0], at[-1]))
             near = np.searchsorted(grid, at[~there] - 0.5 * (grid[1] - grid[0]))
             out[np.clip(near, 0, len(grid) - 1), column] = np.nan
     return out
@@ -250,7 +296,7 @@ def find_stuck(timed: Timed) -> list[Fault]:
                 continue
             if name == "displacement" and timed.servo == "position":  # which may hold its position
                 continue
-            plateaus = clipped_stretches(samples)
+            plateaus = clipped_stretches(samples, is_command=name == "perturbation")
             if plateaus:
                 first, last = min(plateaus)
                 clipped = f"clipped at {samples[first]:.6g} for {(last - first) / rate:.4g} s at {first / rate:.6g} s"
@@ -285,6 +331,14 @@ def equal_lengths(timed: Timed, names: Collection[str]) -> tuple[Timed, list[Fau
     rates, end = {timed.rates[name] for name in names}, lengths[shortest]
     if lengths[longest] - end <= (1.0 / min(rates) if len(rates) > 1 else 0.0) + 1e-9:
         return timed, []
-    text = f"{longest} lasts {lengths[longest]:.6g} s and {shortest} {end:.6g} s; expected equal lengths"
+    text = f"{longest} lasts {lengths[longest]:.6g} s and {shortest} {end:.6g} s"
+    rates_differ = lengths[longest] > LARGEST_RATIO * end
+    why = f": {other_rate(shortest, longest, lengths[longest] / end)}" if rates_differ else "; expected equal lengths"
     cut = {name: timed.signals[name][: round(end * timed.rates[name])] for name in names}
-    return replace(timed, signals={**timed.signals, **cut}), [Fault("lengths", text)]
+    fault = Fault("lengths", text + why, not rates_differ)
+    return replace(timed, signals={**timed.signals, **cut}), [fault]
+
+
+def other_rate(few: str, many: str, ratio: float) -> str:
+    """What is wrong where a signal has fewer samples than another by such a ratio, and what to do."""
+    return f"their rates seem to differ by a factor of {ratio:.4g} (resample {few} to the times of {many} in the file)"

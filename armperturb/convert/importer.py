@@ -222,6 +222,8 @@ def _aligned(
 
 
 def _advice(fault: Fault) -> str:
+    if fault.repair == "lengths" and not fault.can:
+        return "expected one rate of all signals but EMG (convert --repair trials leaves the trial out)"
     if fault.repair == "trials" or not fault.can:
         why = "" if fault.repair == "trials" else ", which cannot be repaired"
         instead = ", stretch keeps the longest part without gaps" if fault.repair == "gaps" else ""

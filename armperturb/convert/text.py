@@ -1,4 +1,4 @@
-"""Reads text files of columns, such as CSV: one line per sample, below a line of names."""
+"""Reads text files of columns, such as CSV: one line per sample, below a line of names and perhaps one of units."""
 
 import csv
 import math
@@ -36,6 +36,13 @@ def lines_of(file: TextIO, path: Path) -> Iterator[str]:
         yield line
 
 
+def is_row_of_text(fields: Sequence[str], decimal: str) -> bool:
+    """Whether a row holds text and no number, as one of names or units does."""
+    return any(map(str.strip, fields)) and not any(
+        parsed_number(number) is not None for field in fields for number in (field, field.replace(decimal, "."))
+    )
+
+
 def read_text(path: Path, names: Collection[str], number: str | None, dialect: Dialect) -> Sequence[RawTrial]:
     """Columns of a text file.
 
@@ -67,7 +74,9 @@ def read_text(path: Path, names: Collection[str], number: str | None, dialect: D
             columns = _columns(path, header, names)
             values: dict[str, array[float]] = {name: array("d") for name in columns}
             blank = 0
-            for fields in reader:
+            for row, fields in enumerate(reader):
+                if row == 0 and len(fields) == len(header) and is_row_of_text(fields, dialect.decimal):
+                    continue  # units, which the sidecar says
                 if not fields:
                     blank = blank or reader.line_num
                     continue

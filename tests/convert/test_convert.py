@@ -512,6 +512,29 @@ def test_unequal_lengths_are_refused_and_cut_if_asked(tmp_path):
     assert "all are cut to the shortest" in found.notes[0]
 
 
+def test_signals_of_other_rates_are_not_cut_to_one_length(tmp_path):
+    d, f, x = handle()
+    path = tmp_path / "lab.npz"
+    sidecar = {**meaning(), "signals": {}}
+    del sidecar["trial"]
+    for name, field in meaning()["signals"].items():
+        channels = {axis: f"{name}(time,{at})" for at, axis in enumerate("xy", 1)}
+        sidecar["signals"][name] = {**field, "channels": channels}
+    path.with_suffix(".json").write_text(json.dumps(sidecar))
+    said = r"their rates seem to differ by a factor of {} \(resample displacement to the times of {} in the file\)"
+    for kept, factor in ((x[::5], "5"), (x[:800], "1.5")):
+        np.savez(path, perturbation=d, force=f, displacement=kept, t=np.arange(N_TIME) / RATE)
+        message = said.format(factor, "perturbation") + ".*expected one rate of all signals but EMG"
+        with pytest.raises(ValueError, match=message) as caught:
+            import_recording([path], repair="lengths")
+        assert "--repair lengths" not in str(caught.value)
+    (tmp_path / "timed.json").write_text(json.dumps(sidecar | TIMED))
+    with pytest.raises(ValueError, match=f"has 800 samples and t 1200: {said.format('1.5', 't')}; expected as many"):
+        import_recording([path], sidecar=tmp_path / "timed.json")
+    np.savez(path, perturbation=d, force=f, displacement=x[:1100])
+    assert import_recording([path], repair="lengths").recording.sizes["time"] == 1100
+
+
 def test_clipped_and_stuck_channels_are_refused_with_their_time(tmp_path):
     values = table()
     clipped, stuck = values.copy(), values.copy()
@@ -527,6 +550,20 @@ def test_clipped_and_stuck_channels_are_refused_with_their_time(tmp_path):
         import_recording([write(tmp_path, stuck)])
     found = import_recording([write(tmp_path, stuck)], repair=["trials"])
     assert found.recording.sizes["trial"] == 1
+
+
+def test_a_square_perturbation_is_read_and_a_clipped_one_refused(tmp_path):
+    values = table(1)
+    square = 3.0 * np.sign(np.random.default_rng(4).normal(size=(N_TIME // 10, 2))).repeat(10, axis=0)
+    values[:, F] += square - values[:, D]
+    values[:, D] = square
+    found = import_recording([write(tmp_path, values)])
+    np.testing.assert_array_equal(found.recording["perturbation"].values[0], square)
+    assert found.notes == ()
+    values = table(1)
+    values[:, D] = values[:, D].clip(-3.0, 3.0)
+    with pytest.raises(ValueError, match=r"Dx \(perturbation\) is clipped at 3 for"):
+        import_recording([write(tmp_path, values)])
 
 
 @pytest.mark.slow(reason="three recordings, as text")

@@ -52,6 +52,18 @@ def test_a_table_of_angle_and_torque_is_read_as_it_is(tmp_path, names, angle_uni
     np.testing.assert_allclose(recording["force"].values[0, :, 0], -torque, atol=1e-6)
 
 
+def test_units_below_the_names_are_read(tmp_path):
+    angle, torque = ankle()
+    path = tmp_path / "S3.csv"
+    header, rest = as_text(("t", "angle", "torque"), 1e3 * time(), np.degrees(angle), -torque).split("\n", 1)
+    path.write_text(f"Ankle,,\n{header}\nms,deg,Nm\n{rest}")
+    sidecar, _ = written(path)
+    assert sidecar["time"] == {"channel": "t", "unit": "ms"}
+    assert sidecar["signals"]["displacement"] == {"channels": {"x": "angle"}, "unit": "deg"}
+    assert not [field for field in sidecar["guessed"] if field.endswith("unit")]
+    np.testing.assert_allclose(import_recording([path]).recording["force"].values[0, :, 0], -torque, atol=1e-6)
+
+
 def test_arrays_with_their_rate(tmp_path):
     angle, torque = ankle()
     path = files(tmp_path, angle, torque, rate_hz=np.array(RATE))

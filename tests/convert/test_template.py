@@ -100,6 +100,38 @@ def test_labels_in_columns_other_dialects_and_places_in_a_room(tmp_path):
     assert recording["condition"].values.tolist() == ["A", "B"]
 
 
+@pytest.mark.parametrize(
+    ("above", "units"),
+    [
+        ("Experiment 12;;;;;;;\nSubject;31;;;;;;\n", ""),
+        ("", ";ms;N;N;N;N;mm;mm\n"),
+        ("Experiment 12;;;;;;;\n;;;;;;;\n", "[-];[ms];[N];[N];[N];[N];[mm];[mm]\n"),
+        ("A laboratory; of arms\n", "number;ms;N;N;N;N;mm;mm\n"),
+    ],
+    ids=["titles of a spreadsheet", "units", "titles and units in brackets", "a title and units with a word"],
+)
+def test_titles_above_the_names_and_units_below_them(tmp_path, above, units):
+    names = ["trial", "t", "motor_x", "motor_y", "gauge_x", "gauge_y", "pos_x", "pos_y"]
+    values = as_laboratory(("ms", "N", "mm"))
+    header, rest = as_text(values, names, ";", ",").split("\n", 1)
+    path = tmp_path / "lab.csv"
+    path.write_text(f"{above}{header}\n{units}{rest}")
+    sidecar = json.loads(write_sidecar(path).path.read_text())
+    assert sidecar["csv"] == {"delimiter": ";", "decimal": ",", "skip_lines": above.count("\n")}
+    assert ("signals.displacement.unit" in sidecar["guessed"]) == (not units)
+    assert_is_the_laboratory(import_recording([path]).recording)
+
+
+def test_units_of_names_are_believed_before_those_below(tmp_path):
+    names = ["trial", "t [s]", "motor_x", "motor_y", "gauge_x [N]", "gauge_y [N]", "pos_x_m", "pos_y_m"]
+    header, rest = as_text(table(), names).split("\n", 1)
+    path = tmp_path / "lab.csv"
+    path.write_text(f"{header}\n,ms,N,N,mN,mN,mm,mm\n{rest}")
+    sidecar = json.loads(write_sidecar(path).path.read_text())
+    assert [sidecar["signals"][name]["unit"] for name in REQUIRED_SIGNALS] == ["N", "N", "m"]
+    assert_is_the_laboratory(import_recording([path]).recording)
+
+
 def test_what_cannot_be_guessed_is_left_open_and_named_when_the_file_is_read(tmp_path):
     path = tmp_path / "lab.csv"
     path.write_text(as_text(table(), ["trial", "c1", "c2", "c3", "Fx", "Fy", "X", "Y"]))

@@ -91,8 +91,10 @@ def _clipped(parts: Sequence[ConditionTrials]) -> dict[str, int]:
         for name, values in zip(SIGNALS, part.signals, strict=True):
             for trial in values:
                 for axis, channel in zip("xy", trial.T, strict=True):
-                    n = sum(end - start for start, end in clipped_stretches(channel)) if np.ptp(channel) else 0
-                    if n:
+                    if not np.ptp(channel):
+                        continue
+                    stretches = clipped_stretches(channel, is_command=name == "perturbation")
+                    if n := sum(end - start for start, end in stretches):
                         counts[f"{name} {axis}"] = counts.get(f"{name} {axis}", 0) + n
     return counts
 

@@ -1,0 +1,64 @@
+"""Square waves of commands and clipped signals, told from one another."""
+
+import numpy as np
+import pytest
+from laboratory import handle, laboratory_recording
+
+from armperturb.analysis.fit.group import parts_by_condition
+from armperturb.analysis.page.data_check import check_data
+from armperturb.analysis.plateaus import clipped_stretches
+
+N_TIME = 6000
+
+
+def random(seed=0):
+    return np.random.default_rng(seed)
+
+
+def multisine():
+    frequency, phase = random().uniform(0.3, 20.0, 40), random(1).uniform(0.0, 2 * np.pi, 40)
+    return np.sin(2 * np.pi * np.arange(N_TIME)[:, None] / 200.0 * frequency + phase).sum(axis=1) / np.sqrt(20.0)
+
+
+def steps(hold, levels):
+    return random(2).choice(levels, N_TIME // hold + 1).repeat(hold)[:N_TIME]
+
+
+SQUARE = {
+    "two levels": steps(10, [-3.0, 3.0]),
+    "one level and zero": steps(10, [0.0, 3.0]),
+    "three levels": steps(10, [-3.0, 0.0, 3.0]),
+    "nine levels": steps(20, np.linspace(-3.0, 3.0, 9)),
+    "ramps of four samples": np.convolve(steps(20, [-3.0, 3.0]), np.ones(4) / 4.0, "same"),
+    "rests before and after": np.where(np.abs(np.arange(N_TIME) - 3000) < 1000, steps(10, [-3.0, 3.0]), 0.0),
+}
+
+
+@pytest.mark.parametrize("name", SQUARE)
+def test_a_square_command_is_not_clipped(name):
+    assert clipped_stretches(SQUARE[name], is_command=True) == []
+    assert clipped_stretches(SQUARE[name])
+
+
+CLIPPED = {
+    "both sides": multisine().clip(-1.5, 1.5),
+    "one side": multisine().clip(None, 1.0),
+    "two thirds of the samples": multisine().clip(-0.45, 0.45),
+    "amid rests": np.where(np.abs(np.arange(N_TIME) - 3000) < 1000, multisine().clip(-1.5, 1.5), 0.0),
+    "coarse": 0.05 * np.round(20.0 * multisine().clip(-1.5, 1.5)),
+    "each value held": np.repeat(multisine()[:1000].clip(-1.5, 1.5), 6),
+}
+
+
+@pytest.mark.parametrize("name", CLIPPED)
+def test_a_clipped_command_is_found(name):
+    assert len(clipped_stretches(CLIPPED[name], is_command=True)) > 3
+
+
+def test_the_page_counts_no_square_command_as_clipped():
+    d, f, x = handle()
+    square = np.stack([steps(10, [-3.0, 3.0])[: len(d)], steps(15, [-3.0, 3.0])[: len(d)]], axis=1)
+    (parts,) = parts_by_condition(laboratory_recording((square, f - d + square, x))).values()
+    assert check_data(parts, 0.5).clipped == {}
+    (parts,) = parts_by_condition(laboratory_recording((d.clip(-3.0, 3.0), f, x))).values()
+    assert {*check_data(parts, 0.5).clipped} == {"perturbation x", "perturbation y"}
