@@ -32,7 +32,7 @@ print(f"{laboratory.model.nv} degrees of freedom and {laboratory.model.nu} actua
 # ## Beside people
 #
 # `compare` draws 16 people of our cohort and pushes them with the same force. A distance of 1 is the standard deviation
-# between people; `usual` is the distance that 95 % of the people keep from the others.
+# between people; `usual` is the distance from the others within which 95 % of the people lie.
 
 # %%
 likenesses = {level: ap.compare(recording, "people") for level, recording in recordings.items()}

@@ -76,7 +76,7 @@ class Likeness(Result):
       reference_gains: of the people, (person, frequency, 2).
       table: group, quantity, value, people's mean and SD, unit, and the distance in SDs.
       distance: group to the root mean square of its quantities' distances [SD].
-      usual: group to the distance that 95 % of the people keep from the others [SD].
+      usual: group to the distance from the others within which 95 % of the people lie [SD].
     """
 
     label: str
@@ -285,7 +285,7 @@ def _quarter(angle: Array) -> Array:
 
 
 def _usual(each: Sequence[Rows]) -> dict[str, float]:
-    """Distance per group that 95 % of people keep from the others."""
+    """Distance from the others, per group, within which 95 % of people lie."""
     distances = [_distances(_table(rows, [*each[:i], *each[i + 1 :]])) for i, rows in enumerate(each)]
     return {str(name): float(value) for name, value in pd.DataFrame(distances).quantile(0.95).items()}
 
