@@ -182,7 +182,8 @@ class Subject(PersonInFile):
         if self.has_extra_inertia:
             raise ValueError(
                 f"subject {self.name!r}: i_s, i_se, i_e = {self.i_s:g}, {self.i_se:g}, {self.i_e:g}; expected 0 in a "
-                "simulation, whose segments are rigid (analysis.arm.geometry.with_rigid_segments finds such)"
+                "simulation, whose segments are rigid (a model with segment masses, as identify --model 3b; in Python "
+                "armperturb.analysis.arm.geometry.with_rigid_segments)"
             )
         if self.has_rigid_grip:
             raise ValueError(

@@ -52,9 +52,10 @@ class Identify(Command):
     condition are identified together."""
     out: Path
     """Folder for identify.html, which tells all, admittance.csv, parameters.csv, fit.json, structure.toml, the fitted
-    arm in arm.toml, and stiffness, damping and inertia at the hand in endpoint.csv and endpoint.svg; of the nonlinear
-    model, for identify.html, parameters.csv, correlations.csv, predictions.csv, fit.json and pulses.svg, and for
-    checkpoints from which an interrupted search continues."""
+    arm in arm.toml (with rigid segments where some have its joint inertia, as simulate and live need), and stiffness,
+    damping and inertia at the hand in endpoint.csv and endpoint.svg; of the nonlinear model, for identify.html,
+    parameters.csv, correlations.csv, predictions.csv, fit.json and pulses.svg, and for checkpoints from which an
+    interrupted search continues."""
     model: str | None = None
     """Model structure; by default the trials of each condition choose it. 1 intrinsic and grip; 2 with velocity, 3 with
     velocity and position feedback; 4, 5 and 6 with force, acceleration or both in addition; 3a and 3b total mass and
@@ -263,24 +264,24 @@ class Identify(Command):
             emg=emg,
         )
         # What draws is loaded only now, as it takes memory that fits of long trials need.
-        from armperturb.analysis.fit.export import write_identification
+        from armperturb.analysis.fit.export import write_arm, write_identification
         from armperturb.analysis.page.page import write_page
 
         write_identification(results, self.out)
-        endings = endings_of(results)
+        endings, lines = endings_of(results), []
         for condition, result in results.items():
             choice = result.fit.choice
             chosen = structure if choice is None else choice.chosen.structure
             name = "structure.toml" if structure or len(results) == 1 else f"structure_{endings[condition]}.toml"
             if chosen is not None:
                 save_structure(chosen, self.out / name)
-            result.fit.arm.save(self.out / ("arm.toml" if len(results) == 1 else f"arm_{endings[condition]}.toml"))
-        write_page(results, trials, self.out / "identify.html", self._origin(notes), emg.envelopes if emg else None)
-        lines = []
-        for condition, result in results.items():
+            name = "arm.toml" if len(results) == 1 else f"arm_{endings[condition]}.toml"
+            refusal = write_arm(result.fit.arm, self.out / name)
             lines.append(f"{condition}: {manipulator(result.environment)}")
             lines.append(f"{condition}: {result.fit.message}; VAF x {result.vaf[0]:.1f} %, y {result.vaf[1]:.1f} %")
             lines += [f"{condition}: {remark}" for remark in result.fit.remarks]
+            lines += [f"{condition}: {name} cannot be simulated: {refusal}"] if refusal else []
+        write_page(results, trials, self.out / "identify.html", self._origin(notes), emg.envelopes if emg else None)
         return lines
 
     def _origin(self, notes: list[str]) -> "Origin":

@@ -70,8 +70,9 @@ def plot_ellipses(postures: Mapping[str, Posture], units: Mapping[str, str], fig
             ax.plot(*each.joints[:2].T, "o", color=GREY, markersize=4.5, zorder=1)
             shown += [*each.joints]
         for label, quantity, hand, (radius, lower, upper) in ellipses:
-            line, inner, outer = (hand + scale * r[:, None] * unit_vectors for r in (radius, lower, upper))
-            if np.isfinite(outer).all():
+            line = hand + scale * radius[:, None] * unit_vectors
+            if np.isfinite(upper).all():
+                inner, outer = (hand + scale * r[:, None] * unit_vectors for r in (lower, upper))
                 ring = np.concatenate([outer, inner[::-1]])
                 ax.fill(*ring.T, color=colours[label], alpha=0.25, linewidth=0.0, zorder=2)
             style = DASHED if quantity != quantities[0] else "-"

@@ -4,6 +4,7 @@ import csv
 import errno
 import json
 import os
+import re
 import subprocess
 import sys
 import warnings
@@ -132,6 +133,16 @@ EDITS = {
     "short delay": ("subject.toml", lambda text: text.replace("Td_s = 0.03", "Td_s = 0.0002"), "Td_s = 0.0002"),
     "text": ("subject.toml", lambda text: text.replace("m_h = 1", 'm_h = "1" #'), "m_h = '1'; expected a number"),
     "unstable": ("subject.toml", lambda text: text.replace("kv_s = 15.7", "kv_s = 80"), "unstable"),
+    "no masses": (
+        "subject.toml",
+        lambda text: re.sub(r"(m_[hf]) = .*", r"\1 = 0.0", text) + "i_s = 0.3\ni_se = 0.08\ni_e = 0.05\n",
+        "i_s, i_se, i_e = 0.3, 0.08, 0.05; expected 0 in a simulation",
+    ),
+    "rigid grip": (
+        "subject.toml",
+        lambda text: re.sub("k_h = .*", "k_h = inf", text),
+        "k_h = inf; expected a finite grip stiffness in a simulation",
+    ),
     "no TOML": ("subject.toml", lambda text: "m_h: 3", "not a TOML file"),
     "NaN": (
         "pulse.csv",

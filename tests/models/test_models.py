@@ -234,7 +234,7 @@ def test_a_push_leaves_the_energy_that_it_gave(subject):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"i_s": 0.1}, r"i_s, i_se, i_e = 0\.1, 0, 0; expected 0 in a simulation, .*with_rigid_segments finds such"),
+        ({"i_s": 0.1}, r"i_s, i_se, i_e = 0\.1, 0, 0; expected 0 in a simulation, .*geometry\.with_rigid_segments"),
         ({"k_h": np.inf}, "k_h = inf; expected a finite grip stiffness in a simulation"),
     ],
 )

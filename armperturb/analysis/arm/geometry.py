@@ -65,12 +65,12 @@ def with_rigid_segments(subject: Subject) -> Subject:
     c = (i_se - b) / cosine
     a = i_s - b - 2.0 * c * cosine  # of the humerus, and of the forearm's mass at the elbow
     # The forearm's mass is c / (c_f l_f l_h): less than leaves the humerus any, at least what b holds without turning.
-    least, most = c * l_h / (a * l_f), min(b * l_h / (c * l_f), 1.0)
-    if not (c > 0.0 and a > 0.0 and least < most):
+    if not (c > 0.0 and c * l_h < a * l_f and c * c < a * b):
         raise ValueError(
             f"subject {subject.name!r}: joint inertia = [[{i_s:.4g}, {i_se:.4g}], [{i_se:.4g}, {b:.4g}]] kg m^2; "
             f"expected one that rigid segments can have at an elbow angle of {subject.theta_e_deg:g} deg"
         )
+    least, most = c * l_h / (a * l_f), min(b * l_h / (c * l_f), 1.0)
     c_f = min(max(subject.c_f, least + NEAR * (most - least)), most)
     m_f = c / (c_f * l_f * l_h)
     return replace(

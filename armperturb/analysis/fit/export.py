@@ -5,11 +5,13 @@ import math
 from pathlib import Path
 from typing import Any
 
+from armperturb.analysis.arm.geometry import with_rigid_segments
 from armperturb.analysis.fit.identify import Identification, Identifications
 from armperturb.analysis.fit.maximum_likelihood import Estimate
 from armperturb.analysis.fit.thesis import ThesisEstimate
 from armperturb.analysis.measures.endpoint import is_straight, plot_endpoints
 from armperturb.files import finite_or_none, write_csv, written_together
+from armperturb.subject import Subject
 
 
 def fit_summary(identification: Identification) -> dict[str, Any]:
@@ -104,3 +106,22 @@ def write_identification(results: Identifications, folder: str | Path) -> list[P
             write_csv(pd.concat([endpoint.to_frame() for endpoint in endpoints.values()]), of_hand[0])
             of_hand[1].write_bytes(svg(figure))
     return paths
+
+
+def write_arm(arm: Subject, path: str | Path) -> str:
+    """Write a fitted arm as the file of a person, with rigid segments where some have its joint inertia.
+
+    Returns:
+      Why no simulation has this arm; empty where one has.
+
+    Raises:
+      OSError: the file cannot be written.
+    """
+    refusal = ""
+    try:
+        arm = with_rigid_segments(arm)
+        arm.require_simulable()
+    except ValueError as error:
+        refusal = str(error)
+    arm.save(path)
+    return refusal

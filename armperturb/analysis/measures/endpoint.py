@@ -41,8 +41,8 @@ STRAIGHT_DEG = 1.0
 RIGHT_DEG = 1.0
 """An elbow that is closer than this to a right angle does not show the coupling of its segments [deg]."""
 
-LARGEST_EXPONENT = 700.0
-"""Beyond which an exponential has no number."""
+LARGEST_HALF = 14.0
+"""Half width of the interval of a logarithm from which on there are no limits: a factor of a million tells nothing."""
 
 CIRCULAR = 5.99
 """Squared length of the longer axis's excess over its error below which an ellipse may be a circle: the 95 % quantile
@@ -123,7 +123,7 @@ class EndpointMatrix:
         if not self.area:
             return Interval(math.nan, math.nan)
         slope = np.asarray(np.linalg.inv(self.values).T.ravel(), dtype=float)
-        return _factor(self.area, quantile(level) * float(self._error(slope)))
+        return Interval(*map(float, _limits(self.area, quantile(level) * self._error(slope))))
 
     def shape_interval(self, level: float = 0.95) -> Interval:
         """Confidence interval of the shape, from 1 on where the ellipse may be a circle."""
@@ -132,8 +132,8 @@ class EndpointMatrix:
         (m, u, v), slope = self._parts()
         r = math.hypot(u, v)
         difference = (u * slope[1] + v * slope[2]) / r if r else np.hypot(slope[1], slope[2])
-        half = quantile(level) * float(self._error((m * difference - r * slope[0]) / (m * m - r * r)))
-        lower, upper = _factor(self.shape, half)
+        half = quantile(level) * self._error((m * difference - r * slope[0]) / (m * m - r * r))
+        lower, upper = map(float, _limits(self.shape, half))
         return Interval(1.0 if self.is_circular else max(lower, 1.0), upper)
 
     def orientation_interval(self, level: float = 0.95) -> Interval:
@@ -160,8 +160,7 @@ class EndpointMatrix:
         radius = 1.0 / np.hypot(*away)
         turned = np.linalg.solve(self.values.T, away)
         slope = (turned[:, None] * away).reshape(4, -1).T * radius[:, None] ** 2
-        factor = np.exp(quantile(level) * self._error(slope))
-        return radius, radius / factor, radius * factor
+        return radius, *_limits(radius, quantile(level) * self._error(slope))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -384,10 +383,10 @@ def _with_limits(value: float, limits: Interval) -> str:
     return f"{plain(value, 3)}{known}"
 
 
-def _factor(value: float, half: float) -> Interval:
-    """Interval of a quantity from half that of its logarithm."""
-    factor = math.inf if half > LARGEST_EXPONENT else math.exp(half)
-    return Interval(value / factor, value * factor)
+def _limits(value: Array | float, half: Array) -> tuple[Array, Array]:
+    """Limits of a positive quantity from half the interval of its logarithm; zero and infinity where there are none."""
+    factor = np.where(half > LARGEST_HALF, math.inf, np.exp(np.minimum(half, LARGEST_HALF)))
+    return value / factor, value * factor
 
 
 def _force(force: ArrayLike) -> Array:

@@ -77,9 +77,9 @@ def run_experiment(
 
     Raises:
       TypeError: an argument is of another type.
-      ValueError: no trials, a number of threads below 0, a subject that is unstable on the environment or too fast for
-        a quarter of the step, a perturbation with content above 45 % of the simulation rate, too short or too long, or
-        rates that do not fit.
+      ValueError: no trials, a number of threads below 0, a subject that is unstable on the environment, too fast for a
+        quarter of the step or, but for the linear arm, refused by `Subject.require_simulable`, a perturbation with
+        content above 45 % of the simulation rate, too short or too long, or rates that do not fit.
       RuntimeError: MuJoCo could not integrate a trial that stayed inside the workspace.
     """
     trials = as_list_of("trials", "run_experiment: a trial", trials, Trial, "Trials")
@@ -141,6 +141,8 @@ def _require_sound(trials: Sequence[Trial], setup: Setup) -> None:
     """
     _ = setup.lowpass  # whose cut-off may be too high
     for subject in dict.fromkeys(trial.subject for trial in trials):
+        if not setup.linear:
+            subject.require_simulable()
         require_stable(subject, setup.environment, setup.strap)
     for perturbation in {id(trial.perturbation): trial.perturbation for trial in trials}.values():
         check_bandwidth(perturbation, 1.0 / setup.timestep)

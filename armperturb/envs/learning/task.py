@@ -183,6 +183,7 @@ class TaskSettings:
             self._require_sound(subject)
 
     def _require_sound(self, subject: Subject) -> None:
+        subject.require_simulable()
         require_stable(subject, self.environment)
         require_integrable(subject, self.environment, None, self.timestep)
         if self.sets_levels and subject.task == "PT":

@@ -80,7 +80,7 @@ class Likeness(Result):
       reference_gains: of the people, (person, frequency, 2).
       table: group, quantity, value, people's mean and SD, unit, and the distance in SDs.
       distance: group to the root mean square of its quantities' distances [SD].
-      usual: group to the distance within which 95 % of the people are of the others [SD].
+      usual: group to the distance from the others within which 95 % of the people lie [SD].
     """
 
     label: str

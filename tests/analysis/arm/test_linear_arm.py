@@ -91,11 +91,12 @@ def test_rigid_segments_have_the_joint_inertia_that_was_asked(theta_e_deg, c_f):
     assert with_rigid_segments(rigid) is rigid
 
 
-def test_rigid_segments_of_an_impossible_inertia_are_refused():
-    # At 82 deg the elbow couples segments more than the forearm alone does, and never less.
-    bare = replace(POSITION, m_h=0.0, m_f=0.0, i_s=0.4, i_se=0.08, i_e=0.1)
+@pytest.mark.parametrize("i_e", [0.1, 0.08])
+def test_rigid_segments_of_an_impossible_inertia_are_refused(i_e):
+    # At 82 deg the elbow couples segments more than the forearm alone does, and never less or as much.
+    bare = replace(POSITION, m_h=0.0, m_f=0.0, i_s=0.4, i_se=0.08, i_e=i_e)
     with pytest.raises(
-        ValueError, match=r"joint inertia = \[\[0\.4, 0\.08\], \[0\.08, 0\.1\]\] kg m\^2; expected one that"
+        ValueError, match=rf"joint inertia = \[\[0\.4, 0\.08\], \[0\.08, {i_e}\]\] kg m\^2; expected one that"
     ):
         with_rigid_segments(bare)
 

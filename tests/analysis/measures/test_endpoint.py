@@ -191,6 +191,20 @@ def test_what_the_data_do_not_identify_has_no_limits():
     assert "nan" not in unknown.summary()
 
 
+def test_a_matrix_that_may_be_singular_has_no_limits():
+    arm = replace(POSITION, m_h=0.0, m_f=0.0, i_s=0.11, i_se=0.0758, i_e=0.0524)
+    found = endpoint_impedance(arm, np.diag((0.3 * parameter_vector(arm)) ** 2))
+    inertia = found["inertia"]
+    assert inertia.area_interval() == (0.0, np.inf)
+    assert inertia.shape_interval() == (1.0, np.inf)
+    radius, inner, outer = inertia.outline(np.linspace(0.0, np.pi, 100))
+    assert np.isfinite(radius).all()
+    unlimited = np.isinf(outer)
+    assert unlimited.any()
+    np.testing.assert_array_equal(inner == 0.0, unlimited)
+    assert len(found.plot(new_figure(1.0))) == 3
+
+
 def test_a_negative_stiffness_is_said():
     found = endpoint_impedance(replace(POSITION, k_se=400.0), NOTHING)
     assert any(remark.startswith("stiffness is negative") for remark in found.remarks)

@@ -580,8 +580,13 @@ def test_actions_of_another_shape_or_kind_are_refused():
             ValueError,
             "Td_s of the trial's subject = 0.031; expected a finite number at most 0.03",
         ),
+        (
+            {"trial": replace(study_trials("PT")[0], subject=replace(PERSON.subjects["PT"], k_h=np.inf))},
+            ValueError,
+            "k_h = inf; expected a finite grip stiffness in a simulation",
+        ),
     ],
-    ids=["unknown", "range", "dict", "type", "task", "both", "delay"],
+    ids=["unknown", "range", "dict", "type", "task", "both", "delay", "grip"],
 )
 def test_bad_options_are_refused(options, error, message):
     env = made(**SHORT)
