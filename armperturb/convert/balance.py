@@ -19,6 +19,7 @@ from scipy import fft, signal
 from armperturb.analysis.force_balance import EDGE, Balance
 from armperturb.analysis.imbalance import Imbalance, inner_products, signal_row
 from armperturb.arrays import Array
+from armperturb.environment import Environment
 from armperturb.recording import REQUIRED_SIGNALS
 
 LIGHTEST, HEAVIEST = 0.1, 60.0
@@ -105,12 +106,7 @@ def check_balance(
             f"{source}: d - f does not move a mass, spring and damper ({_in_numbers(declared)}); expected a positive "
             f"mass and the force that the handle exerts on the hand, {_why(balance.imbalance)}"
         )
-    lower, upper = (LIGHTEST, HEAVIEST) if mass is None else (mass / SET_TO, mass * SET_TO)
-    if not lower <= environment.m_env <= upper:
-        raise ValueError(
-            f"{source}: d - f moves a mass of {environment.m_env:.4g} kg; expected {lower:.3g} to {upper:.3g} kg (a "
-            "wrong unit of displacement, or of both forces?)"
-        )
+    _require_mass(environment, mass, source)
     notes = _skews(balance, d, f, x, rate, source)
     if balance.imbalance is not None:
         notes = [balance.imbalance.text]
@@ -121,6 +117,33 @@ def check_balance(
     if pushed < SEEN * load:
         notes.append("the perturbation is too weak beside other forces: its sign, axes and unit are unchecked")
     return notes
+
+
+def require_handle(recording: xr.Dataset, source: str = "recording") -> None:
+    """Refuse a recording whose d - f moves a mass that is no handle's; one in which it moves none is not looked at.
+
+    Raises:
+      ValueError: the mass is too small or too large.
+    """
+    rate = float(recording.attrs["rate"])
+    trials, n_time = _before_limit(recording, rate)
+    d, f, x = (recording[name].values[trials, :n_time] for name in REQUIRED_SIGNALS)
+    try:
+        with np.errstate(all="ignore"):
+            moved = Balance(d, f, x, rate).fit()[0]
+    except (ValueError, np.linalg.LinAlgError):
+        return
+    _require_mass(moved, None, source)
+
+
+def _require_mass(environment: Environment, mass: float | None, source: str) -> None:
+    """Refuse a mass that is not near the one that was set, or none that a handle has [kg]."""
+    lower, upper = (LIGHTEST, HEAVIEST) if mass is None else (mass / SET_TO, mass * SET_TO)
+    if not lower <= environment.m_env <= upper:
+        raise ValueError(
+            f"{source}: d - f moves a mass of {environment.m_env:.4g} kg; expected {lower:.3g} to {upper:.3g} kg (a "
+            "wrong unit of displacement, or of both forces?)"
+        )
 
 
 def require_signs(recording: xr.Dataset, names: Sequence[str] = (), source: str = "recording") -> Array | None:

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from armperturb.convert.alignment import in_si, joined, resampled, timed_signals
-from armperturb.convert.balance import check_balance, require_signs
+from armperturb.convert.balance import check_balance, require_handle, require_signs
 from armperturb.convert.checks import (
     check_different,
     check_recordings,
@@ -110,6 +110,7 @@ def import_recording(
             physics += [f"{path}: {note}" for note in check_joint(recording, source=str(path))]
         else:
             require_signs(recording, source=str(path))
+            require_handle(recording, str(path))
     notes = (*check_recordings(recordings, list(map(str, ours))), *physics)
     if len(ours) == 1:
         return Imported(recordings[0], notes)

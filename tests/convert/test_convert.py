@@ -301,6 +301,14 @@ def test_a_simulated_arm_passes_and_its_force_turned_is_named(position_recording
         check_balance(position_recording.assign(force=-position_recording["force"]))
 
 
+def test_a_mass_that_is_no_handles_is_refused_in_netcdf_too(tmp_path):
+    d, f, x = handle(0)
+    recording = laboratory_recording((1e-3 * d, 1e-3 * f, x))
+    save_recording(recording, tmp_path / "grams.nc")
+    with pytest.raises(ValueError, match=r"grams.nc: d - f moves a mass of 0\.003\d* kg; expected 0.1 to 60 kg"):
+        import_recording([tmp_path / "grams.nc"])
+
+
 def turned(force, degrees):
     cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     return force @ np.array([[cosine, sine], [-sine, cosine]])
