@@ -26,6 +26,7 @@ from armperturb.analysis.fit.likelihood_search import (
 from armperturb.analysis.fit.structures import unit
 from armperturb.analysis.fit.trial_effects import (
     ASSUMED,
+    FEW,
     FEWEST_TRIALS,
     QUANTITIES,
     SINGULAR,
@@ -377,7 +378,8 @@ def _dispersion(problem: JointLikelihood, search: Searched, fit: LackOfFit) -> f
 
 def _judge(problem: JointLikelihood, method: Method, search: Searched) -> Estimate:
     values, names = search.values, problem.names
-    is_assumed = problem.uses_emg and problem.n_trials < FEWEST_TRIALS
+    few = problem.n_trials < FEWEST_TRIALS
+    is_assumed = problem.uses_emg and few
     objective = problem.objective(values)
     if search.effects is not None:
         problem.weigh(values, search.effects)
@@ -418,4 +420,5 @@ def _judge(problem: JointLikelihood, method: Method, search: Searched) -> Estima
         skew={group.label: group.parts[0].skew for group in problem.groups},
         imbalance={group.label: group.parts[0].balance.imbalance for group in problem.groups},
     )
-    return replace(result, remarks=(*_remarks(result), *((FEW_WITH_EMG,) if is_assumed else ())))
+    on_few = FEW_WITH_EMG if is_assumed else FEW
+    return replace(result, remarks=(*_remarks(result), *((on_few,) if few else ())))
