@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from armperturb.analysis.joint.model import JointStructure
+from armperturb.analysis.joint.model import JointStructure, ReflexPath, drive_of
 from armperturb.analysis.joint.signals import joint_signals
 from armperturb.analysis.varying.estimate import identify_varying
 from armperturb.analysis.varying.model import VaryingModel, finer, splines
@@ -30,6 +30,13 @@ def recorded(angle, torque, servo="position", *, angular=True, **more):
 def derivative(signal):
     time = np.arange(signal.shape[1]) / RATE
     return CubicSpline(time, signal, axis=1)(time, 1)
+
+
+def reflex_torque(angle, kind, gain=1.0):
+    """Torque of a reflex path with a delay of 40 ms and dynamics of 5 Hz, (trial, time)."""
+    velocity = derivative(angle)
+    drive = velocity if kind == "linear" else drive_of(velocity, "half-wave", 0.1, side=-1)
+    return gain * ReflexPath(angle.shape[1], RATE).torque(drive, 0.04, 5.0, 0.8)
 
 
 def measured(stiffness, n_trials, duration, noise, seed=0):
@@ -106,6 +113,24 @@ def test_stiffness_over_a_scheduling_variable_predicts_what_was_held_out():
     estimate = identify_varying(record, "scheduling", reflex="none", fit_until=20.0)
     np.testing.assert_allclose(estimate.curves["stiffness"].value, 80.0 + 200.0 * estimate.grid, rtol=0.05)
     assert estimate.held_out_vaf > 95.0
+
+
+@pytest.mark.slow(reason="tries all structures of an ensemble")
+@pytest.mark.parametrize("kind", ["none", "linear", "half-wave"])
+def test_left_out_repetitions_choose_the_reflex_path(kind):
+    angle, torque = measured(100.0, 10, 1.5, 0.1)
+    if kind != "none":
+        torque = torque + reflex_torque(angle, kind)
+    estimate = identify_varying(recorded(angle, torque))
+    assert estimate.structure.reflex == kind
+    assert len(estimate.tried) == 4
+    assert f"structure chosen by left-out data: {estimate.structure.name}" in estimate.summary()
+    assert estimate.curves["stiffness"].value.mean() == pytest.approx(100.0, rel=0.02)
+    if kind != "none":
+        assert estimate.curves["gain"].value.mean() == pytest.approx(1.0, rel=0.1)
+        assert estimate.dynamics["reflex_delay"] == pytest.approx(0.04, abs=0.005)
+    if kind == "half-wave":
+        assert estimate.structure.side == -1
 
 
 @pytest.mark.slow(reason="estimates an ensemble twice")
