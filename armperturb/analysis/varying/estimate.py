@@ -2,10 +2,10 @@
 
 The likelihood is that of other joints (`analysis.joint.torque_likelihood`), the search that of arms
 (`analysis.fit.likelihood_search`). Delay, dynamics and threshold of the reflex are searched with the weights of the
-splines, in which the torque is linear. The number of splines of each quantity is that with which left-out repetitions,
-or left-out stretches of a single record, are the most likely. The same data choose the structure of the reflex path,
-with few splines first and then with the numbers that the best structure has: a reflex makes up for jumps of stiffness
-that few splines cannot follow.
+splines, in which the torque is linear. Left-out repetitions, or left-out stretches of a single record, choose the
+structure of the reflex path (`analysis.joint.choice`): with few splines first, then with the numbers that the best
+structure has, as a reflex makes up for jumps of stiffness that few splines cannot follow. The number of splines of each
+quantity is that with which what is left out is the most likely.
 
 That number balances noise with what few splines cannot follow, so that at the balance bands of noise alone hold too
 little. The distance of knots is therefore halved once more: what a smooth course lacks falls to a sixteenth, and
@@ -275,17 +275,17 @@ def _best(
     """
     best = min(tried, key=lambda each: each.score)
     chosen = _chosen(best, candidates)
-    scored = [ScoredStructure(each.structure, each.score) for each in tried]
-    if len({each.structure.reflex for each in tried}) > 1:
-        scored = []
-        for each in tried:
-            orders = each.likelihood.model.orders
-            likelihood = each.likelihood.with_orders({name: chosen.get(name, n) for name, n in orders.items()})
-            again = _tried(likelihood, _linear(likelihood, each.dynamics))
-            scored.append(ScoredStructure(each.structure, again.score))
-        winner = tried[int(np.argmin([each.score for each in scored]))]
-        if winner is not best:
-            best, chosen = winner, _chosen(winner, candidates)
+
+    def again(each: _Tried) -> _Tried:
+        orders = {name: chosen.get(name, n) for name, n in each.likelihood.model.orders.items()}
+        likelihood = each.likelihood.with_orders(orders)
+        return _tried(likelihood, _linear(likelihood, each.dynamics))
+
+    several = len({each.structure.reflex for each in tried}) > 1
+    scored = [ScoredStructure(each.structure, each.score) for each in (map(again, tried) if several else tried)]
+    winner = tried[int(np.argmin([each.score for each in scored]))]
+    if winner is not best:
+        best, chosen = winner, _chosen(winner, candidates)
     return best, chosen, tuple(sorted(scored, key=lambda each: each.score))
 
 

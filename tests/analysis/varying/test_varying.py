@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.interpolate import CubicSpline
 
@@ -115,22 +116,33 @@ def test_stiffness_over_a_scheduling_variable_predicts_what_was_held_out():
     assert estimate.held_out_vaf > 95.0
 
 
-@pytest.mark.slow(reason="tries all structures of an ensemble")
-@pytest.mark.parametrize("kind", ["none", "linear", "half-wave"])
+@pytest.mark.parametrize(
+    "kind", [pytest.param("none", marks=pytest.mark.slow(reason="looks for what is not there")), "linear", "half-wave"]
+)
 def test_left_out_repetitions_choose_the_reflex_path(kind):
-    angle, torque = measured(100.0, 10, 1.5, 0.1)
+    angle, torque = measured(100.0, 6, 1.2, 0.02)
     if kind != "none":
         torque = torque + reflex_torque(angle, kind)
     estimate = identify_varying(recorded(angle, torque))
     assert estimate.structure.reflex == kind
     assert len(estimate.tried) == 4
+    assert all(each.score > estimate.tried[0].score for each in estimate.tried[1:])
     assert f"structure chosen by left-out data: {estimate.structure.name}" in estimate.summary()
     assert estimate.curves["stiffness"].value.mean() == pytest.approx(100.0, rel=0.02)
     if kind != "none":
-        assert estimate.curves["gain"].value.mean() == pytest.approx(1.0, rel=0.1)
-        assert estimate.dynamics["reflex_delay"] == pytest.approx(0.04, abs=0.005)
+        assert estimate.curves["gain"].value.mean() == pytest.approx(1.0, rel=0.15)
+        assert estimate.dynamics["reflex_delay"] == pytest.approx(0.04, abs=0.001)
     if kind == "half-wave":
         assert estimate.structure.side == -1
+
+
+@pytest.mark.slow(reason="estimates an ensemble twice")
+def test_the_structure_that_is_chosen_is_estimated_as_if_asked_for():
+    angle, torque = measured(100.0, 6, 1.2, 0.02)
+    record = recorded(angle, torque + reflex_torque(angle, "linear"))
+    chosen, asked = identify_varying(record), identify_varying(record, reflex="linear")
+    pd.testing.assert_frame_equal(chosen.to_frame(), asked.to_frame())
+    assert "structure as asked for: intrinsic path, linear reflex" in asked.summary()
 
 
 @pytest.mark.slow(reason="estimates an ensemble twice")
