@@ -1,8 +1,9 @@
 """A joint whose stiffness changes over time: ensembles with known courses, and the moving ankle.
 
-Run `python -m benchmarks.varying_joint [--joint NAME] [--ensembles N] [--first NUMBER] [--real FOLDER]`. The
-laboratory's ankle, with a half-wave reflex and 15 dB of noise, has a stiffness that follows a square wave, a ramp and a
-sine of 0.5 Hz. Each ensemble of repetitions has perturbations and noise of its own; means over ensembles are printed.
+Run `python -m benchmarks.varying_joint [--joint NAME] [--reflex KIND] [--ensembles N] [--first NUMBER] [--real
+FOLDER]`. The laboratory's ankle, with a half-wave reflex and 15 dB of noise, has a stiffness that follows a square
+wave, a ramp and a sine of 0.5 Hz. Left-out repetitions choose the structure of the reflex path. Each ensemble of
+repetitions has perturbations and noise of its own; means over ensembles are printed.
 Targets: error of the mean at most 5 % RMS, rise time at most 30 ms, 95 % bands that hold the truth at 90 to 98 % of the
 points; held-out VAF of the moving ankle above 82.1 %.
 """
@@ -15,9 +16,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from armperturb.analysis.joint.model import REFLEXES
 from armperturb.analysis.varying.estimate import identify_varying
 from armperturb.envs.lab.joint_experiment import JointTrial, at_signal_to_noise, run_joint_experiment
-from armperturb.joint_person import JOINT_PEOPLE, half_wave, servo_of
+from armperturb.joint_person import JOINT_PEOPLE, JointPerson, half_wave, servo_of
 from armperturb.perturbations.one_axis import random_steps
 from armperturb.recording import make_recording
 
@@ -51,22 +53,30 @@ class Outcome(NamedTuple):
 
     Attributes:
       error: of the mean, RMS [%].
-      held: points of the curve whose band holds the truth [%].
+      held: quantity to the points of its curve whose band holds the truth [%].
       bias: mean error [%].
       fall: of a square wave from 90 to 10 % [ms].
       n_splines: of stiffness, damping and gain.
+      reflex: that was chosen.
     """
 
     error: float
-    held: float
+    held: dict[str, float]
     bias: float
     fall: float
     n_splines: tuple[int, ...]
+    reflex: str
+
+
+def person_with(joint: str, reflex: str) -> JointPerson:
+    """The laboratory's person, whose reflex is linear, with another reflex path or without one."""
+    person = JOINT_PEOPLE[joint]
+    return {"none": replace(person, kv=0.0), "linear": person, "half-wave": half_wave(person, 0.1)}[reflex]
 
 
 def ensemble(joint: str, factor: np.ndarray, options: argparse.Namespace, number: int) -> Outcome:
     """Estimate one course from one ensemble, and compare with the truth."""
-    person, servo = half_wave(JOINT_PEOPLE[joint], 0.1), servo_of(joint, "position")
+    person, servo = person_with(joint, options.reflex), servo_of(joint, "position")
     seeds = range(number * options.repetitions, (number + 1) * options.repetitions)
     trials = [
         JointTrial(
@@ -82,16 +92,21 @@ def ensemble(joint: str, factor: np.ndarray, options: argparse.Namespace, number
     recording = run_joint_experiment([replace(trial, noise=noise) for trial in trials], servo, timestep=TIMESTEP)
     estimate = identify_varying(recording, n_points=len(factor))
     clock = np.arange(round(DURATION * RATE)) / RATE + LEAD
-    curve, band = estimate.curves["stiffness"], estimate.interval("stiffness")
-    value, lower, upper = (np.interp(clock, estimate.grid, each) for each in (curve.value, *band))
-    true = person.stiffness * factor[round(LEAD * RATE) :][: len(clock)]
-    miss = 100.0 * (value - true) / true.mean()
+    value = np.interp(clock, estimate.grid, estimate.curves["stiffness"].value)
+    true = {"stiffness": person.stiffness * factor[round(LEAD * RATE) :][: len(clock)]}
+    true |= {"damping": np.full(len(clock), person.damping), "gain": np.full(len(clock), person.kv)}
+    held = {}
+    for name in estimate.curves:
+        lower, upper = (np.interp(clock, estimate.grid, each) for each in estimate.interval(name))
+        held[name] = float(100.0 * np.mean((lower < true[name]) & (true[name] < upper)))
+    miss = 100.0 * (value - true["stiffness"]) / true["stiffness"].mean()
     return Outcome(
         error=float(np.sqrt(np.mean(miss**2))),
-        held=float(100.0 * np.mean((lower < true) & (true < upper))),
+        held=held,
         bias=float(miss.mean()),
         fall=fall_time(value),
         n_splines=tuple(curve.n_basis for curve in estimate.curves.values()),
+        reflex=estimate.structure.reflex,
     )
 
 
@@ -101,13 +116,20 @@ def measure(name: str, options: argparse.Namespace) -> str:
         ensemble(options.joint, courses()[name], options, number)
         for number in range(options.first, options.first + options.ensembles)
     ]
-    errors, held = [each.error for each in made], [each.held for each in made]
+    errors, held = [each.error for each in made], [each.held["stiffness"] for each in made]
     fall = f", falls within {np.median([each.fall for each in made]):.0f} ms" if name == "square wave" else ""
     each_held = ", ".join(f"{share:.0f}" for share in held)
+    others = [
+        f"{quantity} {np.mean([each.held[quantity] for each in made if quantity in each.held]):.1f} %"
+        for quantity in ("damping", "gain")
+        if any(quantity in each.held for each in made)
+    ]
+    right = sum(each.reflex == options.reflex for each in made)
     return (
-        f"{options.joint}, {name}: error {np.mean(errors):.2f} % RMS (at most {max(errors):.2f}), mean error "
-        f"{np.mean([each.bias for each in made]):+.2f} %, bands hold {np.mean(held):.1f} % ({each_held}){fall}; "
-        f"splines of stiffness, damping, gain {', '.join(str(each.n_splines) for each in made)}"
+        f"{options.joint}, {name}: structure right in {right} of {len(made)}; error {np.mean(errors):.2f} % RMS (at "
+        f"most {max(errors):.2f}), mean error {np.mean([each.bias for each in made]):+.2f} %, bands hold "
+        f"{np.mean(held):.1f} % ({each_held}), of {', of '.join(others)}{fall}; splines of stiffness, damping, gain "
+        f"{', '.join(str(each.n_splines) for each in made)}"
     )
 
 
@@ -143,6 +165,7 @@ def main(arguments: Sequence[str] = ()) -> None:
         "--first", type=int, default=0, help="number of the first ensemble, from which its seeds follow"
     )
     parser.add_argument("--joint", choices=list(JOINT_PEOPLE), default="ankle")
+    parser.add_argument("--reflex", choices=REFLEXES, default="half-wave", help="of the person")
     parser.add_argument("--decibel", type=float, default=15.0)
     parser.add_argument("--courses", nargs="*", choices=list(courses()), default=list(courses()))
     parser.add_argument("--real", type=Path, default=None, help="folder with ankle_moving_2022.npz")

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from armperturb.analysis.fit.ladder import CAUTION, CLOSE
 from armperturb.analysis.fit.maximum_likelihood import SUSPICIOUS
 from armperturb.analysis.fit.whittle import LackOfFit
+from armperturb.analysis.joint.choice import ScoredStructure, score_of, sentence_of, structures
 from armperturb.analysis.joint.estimate import JointEstimate, Profile, estimate_joint, likelihood_profile
 from armperturb.analysis.joint.intrinsic import IntrinsicCheck, check_intrinsic
 from armperturb.analysis.joint.likelihood import Loop, environment_of, simulated_movement
@@ -17,16 +17,13 @@ from armperturb.analysis.joint.model import LONGEST_DELAY, REFLEXES, UNITS, Join
 from armperturb.analysis.joint.prediction import FreeModel, explained, fit_free_model
 from armperturb.analysis.joint.signals import SHORTEST, JointSignals, joint_signals, mean_angle
 from armperturb.analysis.joint.torque_likelihood import band_of
-from armperturb.analysis.results import Description, FitResult, Interval, parameter_table, plain, quantile
+from armperturb.analysis.results import Description, FitResult, Interval, parameter_table, quantile
 from armperturb.arrays import Array
 from armperturb.recording import check_recording, named
 from armperturb.validation import require_number, require_one_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-EVIDENCE = CLOSE
-"""What is added to the score of a reflex [-]: delay and dynamics of a path that is not there fit any noise a little."""
 
 LACKING = 2.0
 """VAF by which the free model is ahead from which on a remark says so [%]."""
@@ -37,8 +34,7 @@ class TriedStructure(NamedTuple):
 
     Attributes:
       estimate: with it.
-      score: minus twice the log-likelihood, with the loss on left-out blocks, and `EVIDENCE` for a reflex; smaller is
-        better [-].
+      score: see `choice.ScoredStructure`.
     """
 
     estimate: JointEstimate
@@ -144,17 +140,7 @@ class JointIdentification(FitResult):
     @property
     def sentence(self) -> str:
         """What was chosen, and how clearly."""
-        rivals = [each for each in self.tried[1:] if each.estimate.structure.reflex != self.structure.reflex]
-        if not rivals:
-            side = ", its direction chosen by left-out data" if len(self.tried) > 1 else ""
-            return f"structure as asked for{side}: {self.structure.name}"
-        rival = rivals[0]
-        behind = rival.score - self.tried[0].score
-        clear = "nearly as good" if behind < CLOSE else "clearly behind"
-        return (
-            f"structure chosen by left-out data: {self.structure.name}; runner-up: {rival.estimate.structure.name}, "
-            f"{clear} ({plain(behind, 3)} behind in left-out likelihood)"
-        )
+        return sentence_of([ScoredStructure(each.estimate.structure, each.score) for each in self.tried])
 
     def describe(self) -> Description:
         """Parameters, how the structure was chosen, and how well it predicts."""
@@ -275,16 +261,11 @@ def identify_joint(
 def _tried(
     signals: JointSignals, loop: Loop | None, reflex: Reflex | None, short_range: bool, longest_delay: float
 ) -> list[TriedStructure]:
-    structures = [
-        JointStructure(reflex=each, side=side, short_range=short_range)
-        for each in (REFLEXES if reflex is None else (reflex,))
-        for side in ((1, -1) if each == "half-wave" else (1,))
+    estimates = [
+        estimate_joint(each, signals, loop, longest_delay=longest_delay)
+        for each in structures(reflex, short_range=short_range)
     ]
-    estimates = [estimate_joint(each, signals, loop, longest_delay=longest_delay) for each in structures]
-    scored = [
-        TriedStructure(each, each.objective + CAUTION * each.loss + EVIDENCE * (each.structure.reflex != "none"))
-        for each in estimates
-    ]
+    scored = [TriedStructure(each, score_of(each.structure, each.objective, each.loss)) for each in estimates]
     return sorted(scored, key=lambda each: each.score)
 
 

@@ -2,8 +2,10 @@
 
 The likelihood is that of other joints (`analysis.joint.torque_likelihood`), the search that of arms
 (`analysis.fit.likelihood_search`). Delay, dynamics and threshold of the reflex are searched with the weights of the
-splines, in which the torque is linear. The number of splines of each quantity is that with which left-out repetitions,
-or left-out stretches of a single record, are the most likely.
+splines, in which the torque is linear. Left-out repetitions, or left-out stretches of a single record, choose the
+structure of the reflex path (`analysis.joint.choice`): with few splines first, then with the numbers that the best
+structure has, as a reflex makes up for jumps of stiffness that few splines cannot follow. The number of splines of each
+quantity is that with which what is left out is the most likely.
 
 That number balances noise with what few splines cannot follow, so that at the balance bands of noise alone hold too
 little. The distance of knots is therefore halved once more: what a smooth course lacks falls to a sixteenth, and
@@ -22,8 +24,9 @@ import xarray as xr
 from scipy import linalg, ndimage
 
 from armperturb.analysis.fit.ladder import left_out_loss
-from armperturb.analysis.fit.likelihood_search import search_from
+from armperturb.analysis.fit.likelihood_search import SKETCHED, search_from
 from armperturb.analysis.fit.whittle import Normal
+from armperturb.analysis.joint.choice import ScoredStructure, score_of, structures
 from armperturb.analysis.joint.model import DYNAMICS, REFLEXES, JointStructure, Reflex
 from armperturb.analysis.joint.prediction import explained
 from armperturb.analysis.joint.signals import TOP, JointSignals, joint_signals, mean_angle
@@ -112,7 +115,7 @@ def identify_varying(
     recording: xr.Dataset,
     variable: Variable = "time",
     *,
-    reflex: Reflex = "half-wave",
+    reflex: Reflex | None = None,
     fit_until: float | None = None,
     n_points: int = 201,
 ) -> VaryingEstimate:
@@ -122,7 +125,7 @@ def identify_varying(
       recording: of one axis on a position servo: repetitions with different perturbations of the same course of
         parameters, or, for "scheduling", any trials with a scheduling signal.
       variable: what parameters depend on.
-      reflex: static nonlinearity of the reflex path, or "none"; the direction of a half-wave is that which fits better.
+      reflex: "none", "linear" or "half-wave", whose direction left-out data choose; None to let them choose among all.
       fit_until: time from which on samples are held out [s]; None fits all.
       n_points: of the curves.
 
@@ -131,7 +134,7 @@ def identify_varying(
     """
     check_recording(recording)
     require_one_of("identify_varying", "variable", variable, tuple(CANDIDATES))
-    require_one_of("identify_varying", "reflex", reflex, REFLEXES)
+    require_one_of("identify_varying", "reflex", reflex, (None, *REFLEXES))
     last = float(recording["time"].values[-1])
     require_number("identify_varying", "fit_until", fit_until, above=0.0, at_most=last, optional=True)
     ensemble, rate = variable == "time", float(recording.attrs["rate"])
@@ -139,11 +142,10 @@ def identify_varying(
     reference = mean_angle(fitted)
     signals, place = _recorded(fitted, ensemble, reference)
     low, high = float(place[:, signals.used].min()), float(place[:, signals.used].max())
-    orders = dict.fromkeys(("stiffness", "damping", *(() if reflex == "none" else ("gain",))), FIRST[variable])
-    orders |= {} if ensemble else {"static": STATIC}
     tried = []
-    for side in (1, -1) if reflex == "half-wave" else (1,):
-        structure = JointStructure(reflex=reflex, side=side)
+    for structure in structures(reflex):
+        names = ("stiffness", "damping", *(() if structure.reflex == "none" else ("gain",)))
+        orders = dict.fromkeys(names, FIRST[variable]) | ({} if ensemble else {"static": STATIC})
         model = VaryingModel(structure=structure, signals=signals, variable=place, orders=orders, low=low, high=high)
         likelihood = VaryingLikelihood(model, ensemble=ensemble)
         if likelihood.n_groups < 2:
@@ -151,13 +153,11 @@ def identify_varying(
                 f"recording: {place.shape[1] / signals.rate:g} s to fit; expected at least {2 * STRETCH:g} s, of which "
                 "a part is left out in turn"
             )
-        tried += [(likelihood, values) for values in _starts(likelihood)]
-    likelihood, values = min(tried, key=lambda each: each[0].cost(each[1]))
-    values = _searched(likelihood, values)
-    likelihood.weigh(values)
-    chosen = _chosen(likelihood, values, CANDIDATES[variable])
-    likelihood = likelihood.with_orders({name: finer(n) if name != "static" else n for name, n in chosen.items()})
-    values = _searched(likelihood, _linear(likelihood, values[model.n_linear :]))
+        tried.append(_tried(likelihood, min(_starts(likelihood), key=likelihood.cost)))
+    best, chosen, scored = _best(tried, CANDIDATES[variable])
+    likelihood = best.likelihood.with_orders({name: finer(n) if name != "static" else n for name, n in chosen.items()})
+    start = _linear(likelihood, best.dynamics)
+    values = search_from(_Search(likelihood, start), start).values
     solution = _solved(likelihood, values)
     grid = np.linspace(low, high, n_points)
     curves = {
@@ -178,11 +178,12 @@ def identify_varying(
         curves=curves,
         inertia=float(values[0]),
         inertia_error=float(_size(solution.influence)[0]),
-        structure=model.structure,
+        tried=scored,
         dynamics=dict(zip(model.dynamics, map(float, values[model.n_linear :]), strict=True)),
         vaf=explained(torque[:, signals.used], predicted[:, signals.used]),
         held_out_vaf=None if fit_until is None else explained(torque[:, held], predicted[:, held]),
         n_trials=len(torque),
+        n_groups=len(solution.influence),
     )
 
 
@@ -211,7 +212,7 @@ def _recorded(recording: xr.Dataset, ensemble: bool, reference: float) -> tuple[
 
 
 def _starts(likelihood: VaryingLikelihood) -> list[Array]:
-    """Values from which a search may start, the noise being white."""
+    """Values from which a search may start, the noise being as last weighed."""
     names = likelihood.model.dynamics
     if not names:
         return [_linear(likelihood, np.empty(0))]
@@ -234,26 +235,76 @@ def _inverse(information: Array) -> Array:
     return np.asarray(linalg.pinvh(information / np.outer(size, size)) / np.outer(size, size))
 
 
-def _searched(likelihood: VaryingLikelihood, start: Array) -> Array:
-    """Values at the maximum of the likelihood."""
-    return search_from(_Search(likelihood, start), start).values
+class _Tried(NamedTuple):
+    """A structure that was fitted with given numbers of splines.
+
+    Attributes:
+      score: see `joint.choice.ScoredStructure`.
+      likelihood: with the noise that the structure leaves.
+      values: of all parameters, at the maximum of the likelihood.
+    """
+
+    score: float
+    likelihood: VaryingLikelihood
+    values: Array
+
+    @property
+    def structure(self) -> JointStructure:
+        """Of the joint."""
+        return self.likelihood.model.structure
+
+    @property
+    def dynamics(self) -> Array:
+        """Values of the parameters that do not enter linearly."""
+        return self.values[self.likelihood.model.n_linear :]
 
 
-def _chosen(likelihood: VaryingLikelihood, values: Array, candidates: tuple[int, ...]) -> dict[str, int]:
+def _tried(likelihood: VaryingLikelihood, start: Array) -> _Tried:
+    values = search_from(_Search(likelihood, start), start, settled=SKETCHED).values
+    objective = likelihood.objective(values)
+    inside = _Search(likelihood, values).inside(values)
+    loss = left_out_loss(_folds(likelihood.scores(values, np.eye(len(values))[:, inside])))
+    return _Tried(score_of(likelihood.model.structure, objective, loss), likelihood, values)
+
+
+def _best(
+    tried: list[_Tried], candidates: tuple[int, ...]
+) -> tuple[_Tried, dict[str, int], tuple[ScoredStructure, ...]]:
+    """The best structure, its numbers of splines, and the scores of all with such numbers, the best first.
+
+    With the first numbers a reflex makes up for jumps that these cannot follow.
+    """
+    best = min(tried, key=lambda each: each.score)
+    chosen = _chosen(best, candidates)
+
+    def again(each: _Tried) -> _Tried:
+        orders = {name: chosen.get(name, n) for name, n in each.likelihood.model.orders.items()}
+        likelihood = each.likelihood.with_orders(orders)
+        return _tried(likelihood, _linear(likelihood, each.dynamics))
+
+    several = len({each.structure.reflex for each in tried}) > 1
+    scored = [ScoredStructure(each.structure, each.score) for each in (map(again, tried) if several else tried)]
+    winner = tried[int(np.argmin([each.score for each in scored]))]
+    if winner is not best:
+        best, chosen = winner, _chosen(winner, candidates)
+    return best, chosen, tuple(sorted(scored, key=lambda each: each.score))
+
+
+def _chosen(best: _Tried, candidates: tuple[int, ...]) -> dict[str, int]:
     """Numbers of splines with which left-out groups are the most likely, one quantity after the other, twice."""
-    model = likelihood.model
-    dynamics, chosen = values[model.n_linear :], dict(model.orders)
+    model, dynamics = best.likelihood.model, best.dynamics
+    chosen = dict(model.orders)
     scores: dict[tuple[int, ...], float] = {}
 
     def score(orders: Mapping[str, int]) -> float:
         """Cost that splines do not take away, with the loss on what is left out."""
         key = tuple(orders.values())
         if key not in scores:
-            tried = likelihood.with_orders(orders)
+            tried = best.likelihood.with_orders(orders)
             n = tried.model.n_linear
             nothing = np.concatenate([np.zeros(n), dynamics])
             groups = tried.scores(nothing, np.eye(len(nothing))[:, :n])
-            folds = [_together(groups[first::N_FOLDS]) for first in range(min(N_FOLDS, len(groups)))]
+            folds = _folds(groups)
             slope, information = (np.sum(each, axis=0) for each in zip(*folds, strict=True))
             weights = _inverse(information) @ slope
             left = [BlockScore(fold.score - fold.information @ weights, fold.information) for fold in folds]
@@ -265,6 +316,11 @@ def _chosen(likelihood: VaryingLikelihood, values: Array, candidates: tuple[int,
             allowed = [n for n in candidates if quantity == "stiffness" or n <= MOST_OF_OTHERS]
             chosen[quantity] = min(allowed, key=lambda n: score({**chosen, quantity: n}))
     return chosen
+
+
+def _folds(groups: list[BlockScore]) -> list[BlockScore]:
+    """Parts that are left out in turn."""
+    return [_together(groups[first::N_FOLDS]) for first in range(min(N_FOLDS, len(groups)))]
 
 
 def _together(groups: list[BlockScore]) -> BlockScore:

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from armperturb.analysis.joint.choice import ScoredStructure, sentence_of
 from armperturb.analysis.joint.model import UNITS, JointStructure
 from armperturb.analysis.results import Description, Result, Table, quantile
 from armperturb.arrays import Array
@@ -41,11 +42,12 @@ class VaryingEstimate(Result):
       curves: quantity to its curve: "stiffness", "damping" and, with a reflex, "gain".
       inertia: [kg m^2, or kg].
       inertia_error: its standard error.
-      structure: the reflex path's static nonlinearity, and the direction of stretch that it answers to.
+      tried: structures that were fitted, the best first.
       dynamics: delay, frequency, damping ratio and threshold of the reflex path, as in `joint.model.UNITS`.
       vaf: torque or force that the model explains in the samples that were fitted [%].
       held_out_vaf: in the rest, simulated from the angle alone [%]; None if everything was fitted.
       n_trials: how many trials.
+      n_groups: repetitions or stretches from whose differences the errors come.
     """
 
     variable: str
@@ -54,14 +56,23 @@ class VaryingEstimate(Result):
     curves: Mapping[str, Curve]
     inertia: float
     inertia_error: float
-    structure: JointStructure
+    tried: tuple[ScoredStructure, ...]
     dynamics: Mapping[str, float]
     vaf: float
     held_out_vaf: float | None
     n_trials: int
+    n_groups: int
+
+    @property
+    def structure(self) -> JointStructure:
+        """The reflex path's static nonlinearity, and the direction of stretch that it answers to."""
+        return self.tried[0].structure
 
     def interval(self, name: str, level: float = 0.95) -> tuple[Array, Array]:
         """Lower and upper end of the pointwise confidence band of a curve, (point,) each.
+
+        Errors that come from a few groups are uncertain themselves, so that the band is that of Student's t with one
+        degree of freedom less than groups.
 
         Args:
           name: key of `curves`.
@@ -71,7 +82,7 @@ class VaryingEstimate(Result):
           KeyError: there is no such curve.
         """
         curve = self.curves[name]
-        half = quantile(level) * curve.standard_error
+        half = quantile(level, self.n_groups - 1) * curve.standard_error
         return curve.value - half, curve.value + half
 
     def unit_of(self, name: str) -> str:
@@ -92,14 +103,15 @@ class VaryingEstimate(Result):
         over = "time" if self.variable == "time" else "the scheduling variable"
         what, driven, moved = ("joint", "torque", "angle") if self.angular else ("direction", "force", "displacement")
         facts = [
+            sentence_of(self.tried),
             f"inertia {self.inertia:.4g} +/- {self.inertia_error:.2g} {self.unit_of('inertia')}; the model explains "
-            f"{self.vaf:.1f} % of the {driven}"
+            f"{self.vaf:.1f} % of the {driven}",
         ]
         if self.dynamics:
             each = ", ".join(
                 f"{name} {value:.3g} {self.unit_of(name)}".removesuffix(" -") for name, value in self.dynamics.items()
             )
-            facts.append(f"{self.structure.name}: {each}")
+            facts.append(f"reflex path: {each}")
         if self.held_out_vaf is not None:
             facts.append(f"held out, simulated from the {moved} alone: {self.held_out_vaf:.1f} % of the {driven}")
         return Description(

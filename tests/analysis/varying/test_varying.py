@@ -3,10 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.interpolate import CubicSpline
 
-from armperturb.analysis.joint.model import JointStructure
+from armperturb.analysis.joint.model import JointStructure, ReflexPath, drive_of
 from armperturb.analysis.joint.signals import joint_signals
 from armperturb.analysis.varying.estimate import identify_varying
 from armperturb.analysis.varying.model import VaryingModel, finer, splines
@@ -30,6 +31,13 @@ def recorded(angle, torque, servo="position", *, angular=True, **more):
 def derivative(signal):
     time = np.arange(signal.shape[1]) / RATE
     return CubicSpline(time, signal, axis=1)(time, 1)
+
+
+def reflex_torque(angle, kind, gain=1.0):
+    """Torque of a reflex path with a delay of 40 ms and dynamics of 5 Hz, (trial, time)."""
+    velocity = derivative(angle)
+    drive = velocity if kind == "linear" else drive_of(velocity, "half-wave", 0.1, side=-1)
+    return gain * ReflexPath(angle.shape[1], RATE).torque(drive, 0.04, 5.0, 0.8)
 
 
 def measured(stiffness, n_trials, duration, noise, seed=0):
@@ -106,6 +114,35 @@ def test_stiffness_over_a_scheduling_variable_predicts_what_was_held_out():
     estimate = identify_varying(record, "scheduling", reflex="none", fit_until=20.0)
     np.testing.assert_allclose(estimate.curves["stiffness"].value, 80.0 + 200.0 * estimate.grid, rtol=0.05)
     assert estimate.held_out_vaf > 95.0
+
+
+@pytest.mark.parametrize(
+    "kind", [pytest.param("none", marks=pytest.mark.slow(reason="looks for what is not there")), "linear", "half-wave"]
+)
+def test_left_out_repetitions_choose_the_reflex_path(kind):
+    angle, torque = measured(100.0, 6, 1.2, 0.02)
+    if kind != "none":
+        torque = torque + reflex_torque(angle, kind)
+    estimate = identify_varying(recorded(angle, torque))
+    assert estimate.structure.reflex == kind
+    assert len(estimate.tried) == 4
+    assert all(each.score > estimate.tried[0].score for each in estimate.tried[1:])
+    assert f"structure chosen by left-out data: {estimate.structure.name}" in estimate.summary()
+    assert estimate.curves["stiffness"].value.mean() == pytest.approx(100.0, rel=0.02)
+    if kind != "none":
+        assert estimate.curves["gain"].value.mean() == pytest.approx(1.0, rel=0.15)
+        assert estimate.dynamics["reflex_delay"] == pytest.approx(0.04, abs=0.001)
+    if kind == "half-wave":
+        assert estimate.structure.side == -1
+
+
+@pytest.mark.slow(reason="estimates an ensemble twice")
+def test_the_structure_that_is_chosen_is_estimated_as_if_asked_for():
+    angle, torque = measured(100.0, 6, 1.2, 0.02)
+    record = recorded(angle, torque + reflex_torque(angle, "linear"))
+    chosen, asked = identify_varying(record), identify_varying(record, reflex="linear")
+    pd.testing.assert_frame_equal(chosen.to_frame(), asked.to_frame())
+    assert "structure as asked for: intrinsic path, linear reflex" in asked.summary()
 
 
 @pytest.mark.slow(reason="estimates an ensemble twice")
