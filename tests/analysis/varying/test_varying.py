@@ -146,6 +146,20 @@ def test_the_structure_that_is_chosen_is_estimated_as_if_asked_for():
 
 
 @pytest.mark.slow(reason="estimates an ensemble twice")
+@pytest.mark.slow(reason="estimates of many ensembles")
+def test_bands_of_few_repetitions_are_students():
+    """Those of the normal distribution hold 77 %."""
+    time = np.arange(round(2.0 * RATE)) / RATE
+    stiffness = 40.0 + 16.0 * np.sin(np.pi * time)
+    held = []
+    for seed in range(20):
+        estimate = identify_varying(recorded(*measured(stiffness, 5, 2.0, 0.3, seed=seed)), reflex="none")
+        lower, upper = estimate.interval("stiffness")
+        truth = np.interp(estimate.grid, time, stiffness)
+        held.append(np.mean((lower <= truth) & (truth <= upper)))
+    assert np.mean(held) > 0.85
+
+
 def test_units_are_those_of_the_recording():
     angle, torque = measured(100.0, 6, 1.5, 0.1)
     estimates = [identify_varying(recorded(angle, torque, angular=each), reflex="none") for each in (True, False)]
