@@ -8,9 +8,9 @@ where q are the rotations of both joints, c_v and c_p gains of velocity and posi
 and h the average over which the envelope is taken. The amplitude of one muscle follows lengthening alone: gains are
 those of the linear response nearest to it, half of those to lengthening, and what they leave is noise. EMG noise
 moves no arm, so that rotation may be any, and no disturbance is needed to tell. Parameters are maximum
-likelihood estimates from the tapered spectra (Whittle 1953, Ark. Mat. 2), as of flat noise; standard errors are the
-larger of those of flat noise and of those that hold for any (Liang & Zeger 1986, Biometrika 73, by bands and trials).
-The p of no response, in flat noise, is that of the best of all delays (`searched_p`).
+likelihood estimates from the tapered spectra (Whittle 1953, Ark. Mat. 2), in noise of a smooth spectrum; standard
+errors are the larger of those of such noise and of those that hold for any (Liang & Zeger 1986, Biometrika 73, by bands
+and trials). The p of no response, in such noise, is that of the best of all delays (`searched_p`).
 """
 
 import math
@@ -59,6 +59,9 @@ WITH_LIMITS = ("delay_s", "delay_error_s", "lower_95_s", "upper_95_s")
 
 FEWEST_SECONDS = 4.0
 """Time of a trial from which on it tells of reflexes [s]."""
+
+FEWEST_BANDS = 6
+"""Bands from which on the spectrum of the noise is told."""
 
 FEWEST_LINES = 4.0
 """Independent lines, of all trials, from which on a band has a response [-]: four unknowns have eight numbers then."""
@@ -202,7 +205,7 @@ def reflexes(trials: ConditionTrials, envelopes: Envelopes, *, window_start: flo
         raise ValueError(
             f"reflexes: no rotation of {' and '.join(still)} in trials of {trials.label}; expected that of both joints"
         )
-    fits = [_fit(q, a[:, column], f, shared) for column in range(len(names))]
+    fits = [_whitened_fit(q, a[:, column], f, shared) for column in range(len(names))]
     response, error, coherence, centre = _response(q, a, f, shared)
     table = pd.DataFrame([{"muscle": name, **fit} for name, fit in zip(names, fits, strict=True)])
     table["delay_by_phase_s"] = [
@@ -253,8 +256,34 @@ def _design(q: ComplexArray, f: Array, delay: float) -> Array:
     return np.concatenate([rows.real, rows.imag])
 
 
+def _whitened_fit(q: ComplexArray, a: ComplexArray, f: Array, shared: float) -> dict[str, float]:
+    """`_fit` in noise whose spectrum is smooth: that of what a fit in flat noise leaves, a parabola in logarithms."""
+    first = _fit(q, a, f, shared)
+    if math.isnan(first["delay_s"]):
+        return first
+    left = np.mean(np.abs(a - _explained(q, f, first)) ** 2, axis=0)
+    bands = _bands(f)
+    places, counts = np.unique(bands, return_counts=True)
+    power = np.array([left[bands == place].mean() for place in places])
+    if len(places) < FEWEST_BANDS or not (power > 0.0).all():
+        return first
+    centres = np.array([np.log(f[bands == place]).mean() for place in places])
+    course = np.polynomial.Polynomial.fit(centres, np.log(power), 2, w=np.sqrt(counts))
+    size = np.exp(course(np.clip(np.log(f), centres[0], centres[-1])) / 2.0)
+    fit = _fit(q / size, a / size, f, shared)
+    remainder = np.sum(np.abs(a - _explained(q, f, fit)) ** 2)
+    return fit | {"coherence": max(1.0 - float(remainder / np.sum(np.abs(a) ** 2)), 0.0)}
+
+
+def _explained(q: ComplexArray, f: Array, fit: dict[str, float]) -> ComplexArray:
+    """Spectrum of the amplitude that a fit explains, (trial, frequency)."""
+    s = 2j * np.pi * f
+    gains = np.array([fit[f"velocity_{name}"] * s + fit[f"position_{name}"] for name in "se"])
+    return np.asarray(np.exp(-s * fit["delay_s"]) * np.sum(gains * q, axis=1))
+
+
 def _fit(q: ComplexArray, a: ComplexArray, f: Array, shared: float) -> dict[str, float]:
-    """Delay and gains of a muscle, with standard errors; a is (trial, frequency)."""
+    """Delay and gains of a muscle in flat noise, with standard errors; a is (trial, frequency)."""
     rows = np.concatenate([a.ravel().real, a.ravel().imag])
     names = ("velocity_s", "velocity_e", "position_s", "position_e")
     if not rows.any():  # a dead channel

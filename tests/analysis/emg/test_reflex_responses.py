@@ -113,12 +113,16 @@ def test_no_reflex_is_found_where_there_is_none(recording):
 
 
 @pytest.mark.slow(reason="many draws of noise")
-def test_noise_is_said_to_respond_as_often_as_the_level_of_the_test():
+@pytest.mark.parametrize("cutoff", [None, 3.0])
+def test_noise_is_said_to_respond_as_often_as_the_level_of_the_test(cutoff):
     """Also at the best of all delays, while weak responses are found."""
     n_noise, n_weak = 400, 5
     trials = turning(2, 6.0)
     angle, rng = trials.recording["joint_angle"].values, np.random.default_rng(1)
-    amplitude = 1.0 + 0.1 * rng.standard_normal((2, angle.shape[1], n_noise + n_weak))
+    own = rng.standard_normal((2, angle.shape[1], n_noise + n_weak))
+    if cutoff is not None:
+        own = 2.0 * signal.sosfilt(signal.butter(1, cutoff, fs=RATE, output="sos"), own, axis=1)
+    amplitude = 1.0 + 0.1 * own
     late = round(0.04 * RATE)
     amplitude[:, late:, n_noise:] += 0.4 * angle[:, :-late, :1]
     labels = pd.DataFrame({name: trials.recording[name].values for name in LABELS})
