@@ -121,7 +121,7 @@ def test_noise_is_said_to_respond_as_often_as_the_level_of_the_test(cutoff):
     angle, rng = trials.recording["joint_angle"].values, np.random.default_rng(1)
     own = rng.standard_normal((2, angle.shape[1], n_noise + n_weak))
     if cutoff is not None:
-        own = 2.0 * signal.sosfilt(signal.butter(1, cutoff, fs=RATE, output="sos"), own, axis=1)
+        own = 2.5 * signal.sosfilt(signal.butter(1, cutoff, fs=RATE, output="sos"), own, axis=1)
     amplitude = 1.0 + 0.1 * own
     late = round(0.04 * RATE)
     amplitude[:, late:, n_noise:] += 0.4 * angle[:, :-late, :1]
