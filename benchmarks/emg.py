@@ -212,10 +212,12 @@ def one_muscle(volts: np.ndarray, rate: float, highpass: HighPass | None = None)
 def _analysed(recording: xr.Dataset) -> tuple[Activity, list[pd.DataFrame], pd.DataFrame]:
     """A person's activity, responses to rotation by condition, and latencies."""
     conditions, amplitudes = trials_by_condition(recording, is_checked=True), envelopes(recording)
+    held = [conditions[name] for name in HELD if name in conditions]  # all trials of one may leave the workspace
+    moved = [trials for trials in held if trials.label in MOVED]
     return (
         activity(amplitudes),
-        [reflexes(conditions[name], amplitudes).responses for name in HELD[1:]],
-        onsets([conditions[name] for name in HELD], amplitudes).latencies,
+        [reflexes(trials, amplitudes).responses for trials in moved],
+        onsets(held, amplitudes).latencies,
     )
 
 
