@@ -27,11 +27,8 @@ QUANTITIES = ("b", "k", "kv", "kp", "ka")
 FEWEST_TRIALS = 3
 """Trials from which on they may differ, or show the dispersion: fewer do not tell by how much."""
 
-FEW = (
-    f"fewer than {FEWEST_TRIALS} trials do not tell how a person differs from trial to trial: intervals contain noise "
-    "alone, and are too narrow for a person who does"
-)
-"""Remark on what errors then do not hold."""
+FEW = f"fewer than {FEWEST_TRIALS} trials: intervals leave out what differs between trials"
+"""Remark on errors that are then those of noise alone."""
 
 ASSUMED = 0.1
 """Spread where fewer trials have EMG, which makes errors smaller than people's differences between trials [-]."""
