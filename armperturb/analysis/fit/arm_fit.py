@@ -65,7 +65,7 @@ class ArmFit(FitResult):
         return name, self.condition
 
     def admittance_bands(self, frequency: ArrayLike, level: float = 0.95) -> Bands | None:
-        """Confidence bands of the arm's admittance that follow from the errors of its parameters, linearised.
+        """Confidence bands of the arm's admittance that follow from the intervals of its parameters, linearised.
 
         Args:
           frequency: [Hz], (frequency,).
@@ -74,7 +74,7 @@ class ArmFit(FitResult):
         Returns:
           Limits of gain and phase; None where an error or a correlation is not known.
         """
-        error = np.array(list(self.standard_error.values()))
+        error = self._errors()
         covariance = self.correlation * np.outer(error, error)
         if not np.isfinite(covariance).all():
             return None
@@ -89,6 +89,11 @@ class ArmFit(FitResult):
         factor, angle = np.exp(half(relative.real)), np.minimum(half(relative.imag), np.pi)
         return Bands(gain / factor, gain * factor, phase - angle, phase + angle)
 
+    def _errors(self) -> Array:
+        """Standard errors whose normal 95 % intervals are as wide as those of the parameters, (parameter,)."""
+        half = np.array([np.subtract(*self.interval(name)[::-1]) / 2.0 for name in self.values])
+        return np.asarray(half / quantile(0.95))
+
     def endpoint(
         self, *, posture_deg: tuple[float, float] | None = None, force: ArrayLike | None = None
     ) -> EndpointImpedance:
@@ -101,10 +106,9 @@ class ArmFit(FitResult):
         Raises:
           ValueError: as `measures.endpoint.endpoint_impedance`.
         """
-        # Of the intervals, which need not be normal.
-        half = np.array([np.subtract(*self.interval(name)[::-1]) / 2.0 for name in self.values])
-        known = np.isfinite(half)
-        error, part = half[known] / quantile(0.95), self.mixing[:, known]
+        error = self._errors()
+        known = np.isfinite(error)
+        error, part = error[known], self.mixing[:, known]
         covariance = part @ (self.correlation[np.ix_(known, known)] * np.outer(error, error)) @ part.T
         unknown = self.mixing[:, ~known].any(axis=1)
         covariance[unknown, unknown] = np.inf
