@@ -285,13 +285,15 @@ def without_padding(timed: Timed) -> Timed:
 def find_stuck(timed: Timed) -> list[Fault]:
     """Channels that are constant, clipped or hold their last value, in signals without gaps."""
     faults = []
+    is_still = "perturbation" in timed.signals and not timed.signals["perturbation"].any()
     for name in _required(timed):
         values, rate = timed.signals[name], timed.rates[name]
         for column, channel in enumerate(timed.components[name]):
             samples = values[:, column]
             if np.ptp(samples) == 0.0:
-                # A disturbance may leave an axis, or a trial, alone.
-                if name != "perturbation" or samples[0] != 0.0:
+                # A disturbance may leave an axis, or a trial, alone, in which a person may push without moving.
+                may_rest = (name == "perturbation" and samples[0] == 0.0) or (name == "displacement" and is_still)
+                if not may_rest:
                     faults.append(Fault("trials", f"{channel} ({name}) is constant at {samples[0]:.6g}"))
                 continue
             if name == "displacement" and timed.servo == "position":  # which may hold its position

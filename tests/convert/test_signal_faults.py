@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from armperturb.convert.faults import even_times
+from armperturb.convert.faults import Timed, even_times, find_stuck
 
 RATE, N_TIME = 200.0, 1200
 EVEN = np.arange(N_TIME) / RATE
@@ -78,3 +78,20 @@ def test_a_clock_that_wanders_drops_no_samples():
     assert rate == pytest.approx(RATE, rel=5e-3)
     assert drops == []
     assert "time does not run evenly" in clock
+
+
+@pytest.mark.parametrize("pushed", [0.0, 1.0])
+def test_displacement_may_be_constant_where_nothing_perturbs(pushed):
+    time = EVEN[:400]
+    signals = {"perturbation": pushed * wave(time), "force": 5.0 + wave(time), "displacement": np.full((400, 1), 0.002)}
+    components = {name: (name,) for name in signals}
+    timed = Timed(
+        where="MVC",
+        labels={},
+        signals=signals,
+        rates=dict.fromkeys(signals, RATE),
+        components=components,
+        units=dict.fromkeys(signals, ""),
+    )
+    said = [fault.text for fault in find_stuck(timed)]
+    assert said == ["displacement (displacement) is constant at 0.002"] * (pushed > 0.0)

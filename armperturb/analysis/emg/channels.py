@@ -31,7 +31,7 @@ HUM_WIDTH, HUM = 4.0, 15.0
 periodogram of noise exceeds that once in 3 million frequencies."""
 
 MAINS_DRIFT = 0.2
-"""By how much the mains frequency may be off [Hz]."""
+"""By how much the mains frequency may be off; a multiple, by as many times that [Hz]."""
 
 MOST_HARMONICS = 9
 """Multiples of the mains frequency that are looked at."""
@@ -142,13 +142,16 @@ def hum_lines(power: NDArray[Any], frequency: Array, mains: Sequence[float]) -> 
     """
     lines = []
     for fundamental in mains:
-        for line in fundamental * np.arange(1, MOST_HARMONICS + 1):
+        unit, drift = fundamental, MAINS_DRIFT
+        for number in range(1, MOST_HARMONICS + 1):
+            line, most = number * unit, min(number * drift, HUM_WIDTH / 2.0)
             first, last = np.searchsorted(frequency, [line - HUM_WIDTH, line + HUM_WIDTH])
             here, there = frequency[first:last], power[first:last]
-            near = np.abs(here - line) <= MAINS_DRIFT
+            near = np.abs(here - line) <= most
             if near.any() and not near.all() and there[near].max() > HUM * there[~near].mean():
                 lines.append(float(here[near][np.argmax(there[near])]))
-    return lines
+                unit, drift = lines[-1] / number, MAINS_DRIFT / MOST_HARMONICS  # of which the others are multiples
+    return sorted({*lines})
 
 
 def crosstalk_of(correlation: Array, names: Sequence[str]) -> tuple[Crosstalk, ...]:

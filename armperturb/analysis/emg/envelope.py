@@ -29,7 +29,7 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from armperturb.analysis.cuts import onset_samples
+from armperturb.analysis.cuts import limit_samples, onset_samples
 from armperturb.analysis.emg.channels import ChannelFault, Crosstalk, crosstalk_of, faults_of_channel, said_of
 from armperturb.analysis.emg.whitening import Intervals, Spectra, noise_spectra, whitening
 from armperturb.analysis.results import Description, Result, Table, plain
@@ -76,7 +76,7 @@ class Envelopes(Result):
     Attributes:
       muscles: name of each channel that is analysed to what the muscle does.
       labels: one row per trial: `LABELS`, and the first samples that are perturbed at all (start) and by the pulse
-        (onset), or the number of samples.
+        (onset), or the number of samples; a trial that meets the workspace limit ends there.
       rate: of the envelopes [Hz].
       power: of the whitened channels about each sample, (trial, time, muscle), in units of the reference's; NaN where
         a channel is dead.
@@ -370,7 +370,10 @@ def _labels(recording: xr.Dataset) -> pd.DataFrame:
     frame = pd.DataFrame({name: recording[name].values for name in LABELS})
     moves = np.abs(recording["perturbation"].values).max(axis=2) > NEGLIGIBLE
     start = np.where(moves.any(axis=1), moves.argmax(axis=1), recording.sizes["time"])
-    return frame.assign(start=start, onset=onset_samples(recording))
+    # Nothing counts once a trial has met the workspace limit, nor does a pulse after that.
+    onset, limit = onset_samples(recording), limit_samples(recording)
+    frame.loc[limit <= onset, "pulse_onset"] = np.nan
+    return frame.assign(start=start, onset=np.minimum(onset, limit).astype(np.intp))
 
 
 def _reference(power: Array, labels: pd.DataFrame, maximal: str, rate: float) -> tuple[str, Array]:

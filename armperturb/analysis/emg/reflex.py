@@ -24,6 +24,7 @@ import xarray as xr
 from scipy import fft, optimize, special, stats
 
 from armperturb.analysis.arm.geometry import hand_jacobian
+from armperturb.analysis.cuts import limit_samples
 from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.emg.envelope import Envelopes, mean_known
 from armperturb.analysis.results import Description, Result, Table, plain
@@ -172,7 +173,8 @@ def reflexes(trials: ConditionTrials, envelopes: Envelopes, *, window_start: flo
     rows = rows_of(trials, envelopes)
     angles, rate, names = rotation(trials), envelopes.rate, list(envelopes.muscles)
     first = round(window_start * rate)
-    ends = [min(int(onset), angles.shape[1]) for onset in trials.onset]
+    usable = np.minimum(trials.onset, limit_samples(trials.recording))
+    ends = [min(int(end), angles.shape[1]) for end in usable]
     used = [k for k, end in enumerate(ends) if end - first >= FEWEST_SECONDS * rate]
     if not used:
         raise ValueError(

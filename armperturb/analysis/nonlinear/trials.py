@@ -43,7 +43,7 @@ def training_sets(
       pulse_directions_deg: directions of the pulses that are fitted; of other trials, what comes before the pulse is.
 
     Returns:
-      What to fit, and the whole trials whose pulses are left out.
+      What to fit, without trials that nothing perturbs, and the whole trials whose pulses are left out.
     """
     wanted = list(pulse_directions_deg)
     fitted: list[ConditionTrials] = []
@@ -51,8 +51,9 @@ def training_sets(
     for condition in conditions.values():
         trials = condition.before(condition.end)  # the same length in all parts of a condition
         with_pulse = np.array([np.isnan(deg) or bool(np.isclose(deg, wanted).any()) for deg in trials.direction_deg])
-        if with_pulse.any():
-            fitted.append(trials.take(np.flatnonzero(with_pulse)))
+        moved = with_pulse & trials.drive.any(axis=(1, 2))  # not those of a maximal contraction, or of rest
+        if moved.any():
+            fitted.append(trials.take(np.flatnonzero(moved)))
         if not with_pulse.all():
             others = trials.take(np.flatnonzero(~with_pulse))
             left_out.append(others)

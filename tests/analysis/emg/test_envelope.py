@@ -6,6 +6,7 @@ from invented_emg import EMG_RATE, PAIR, RATE, noise, recorded
 from scipy import signal
 
 from armperturb.analysis.emg import whitening
+from armperturb.analysis.emg.channels import hum_lines
 from armperturb.analysis.emg.envelope import envelopes
 from armperturb.recording import Action
 
@@ -200,3 +201,24 @@ def test_a_result_describes_itself_and_becomes_tables(modulated):
     assert "EMG of A: 2 muscles in 11 trials" in result.summary()
     assert result.to_xarray()["amplitude"].shape == (11, 2000, 2)
     assert len(result.plot()) == 1
+
+
+@pytest.mark.parametrize("mains", [49.85, 50.0, 50.12, 59.9])
+def test_multiples_of_a_mains_frequency_that_is_off_are_found(mains):
+    frequency = np.arange(0.0, 600.0, 0.05)
+    power = np.ones(len(frequency))
+    multiples = mains * np.array([1, 3, 5, 9])
+    power[np.searchsorted(frequency, multiples)] = 1000.0
+    np.testing.assert_allclose(hum_lines(power, frequency, (50.0, 60.0)), multiples, atol=0.05)
+
+
+def test_what_comes_after_the_workspace_limit_does_not_count():
+    n = 20_000
+    size = np.where(np.arange(n) < 10_000, 0.1, 1.0)  # loud once the handle is at its limit, at 5 s
+    volts = noise((3, 2, n), 3) * np.stack([size, size, np.full(n, 0.1)])[:, None]
+    conditions = ["PT22.5", "PT22.5", "PT7.5"]
+    limited = dict(limit_time=[5.0, 5.0, np.nan], pulse_onset=[9.0, np.nan, 9.0], pulse_direction=[20.0, np.nan, 20.0])
+    found = envelopes(recorded(volts, conditions, **limited))
+    amplitude = found.to_frame().set_index(["condition", "muscle"])["amplitude_V"]
+    np.testing.assert_allclose(amplitude, 0.1, rtol=0.1)
+    assert found.labels["pulse_onset"].notna().tolist() == [False, False, True]

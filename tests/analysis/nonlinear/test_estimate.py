@@ -24,7 +24,7 @@ from armperturb.analysis.nonlinear.problem import Normal, Problem
 from armperturb.analysis.nonlinear.result import remarks_on
 from armperturb.analysis.nonlinear.simulated import State
 from armperturb.analysis.nonlinear.start import best_start
-from armperturb.analysis.nonlinear.trials import fitted_conditions
+from armperturb.analysis.nonlinear.trials import fitted_conditions, training_sets
 from armperturb.analysis.results import PARAMETER_COLUMNS
 from armperturb.cohort import average_person, draw_person
 from armperturb.muscle_law import ELEMENTS
@@ -240,6 +240,15 @@ def test_options_are_refused_before_anything_is_fitted(ideal, monkeypatch, optio
     if "n_pairs" in options:
         with pytest.raises(ValueError, match="compare_laws: n_pairs = -1"):
             compare_laws([], {}, **options)
+
+
+def test_trials_that_nothing_perturbs_are_not_fitted(ideal):
+    moved = ideal[0].recording
+    still = moved.isel(trial=[0]).assign(perturbation=0.0 * moved["perturbation"].isel(trial=[0]))
+    still = still.assign_coords(condition=("trial", ["MVC"]), repetition=("trial", [99]))
+    fitted, left_out = training_sets(fitted_conditions(stack_trials([moved, still])))
+    assert [trials.label for trials in fitted] == [ideal[0].label]
+    assert left_out == []
 
 
 def test_an_unstable_start_is_refused():
