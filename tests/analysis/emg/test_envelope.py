@@ -214,7 +214,7 @@ def test_multiples_of_a_mains_frequency_that_is_off_are_found(mains):
 
 def test_what_comes_after_the_workspace_limit_does_not_count():
     n = 20_000
-    size = np.where(np.arange(n) < 10_000, 0.1, 1.0)  # loud once the handle is at its limit, at 5 s
+    size = np.where(np.arange(n) < 10_200, 0.1, 1.0)  # loud once reflexes answer to the limit, at 5 s
     volts = noise((3, 2, n), 3) * np.stack([size, size, np.full(n, 0.1)])[:, None]
     conditions = ["PT22.5", "PT22.5", "PT7.5"]
     limited = dict(limit_time=[5.0, 5.0, np.nan], pulse_onset=[9.0, np.nan, 9.0], pulse_direction=[20.0, np.nan, 20.0])
