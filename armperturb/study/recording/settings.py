@@ -57,6 +57,7 @@ class StudySettings:
           OSError: the file cannot be read.
         """
         protocol = THESIS if self.protocol is None else load_protocol(self.protocol)
+        _require_names(protocol, str(self.protocol))
         return protocol if self.forces is None else replace(protocol, forces=self.forces)
 
     def draw_people(self, environment: Environment) -> tuple[Person, ...]:
@@ -66,3 +67,19 @@ class StudySettings:
           RuntimeError: no stable person was found, which only an unusual environment can cause.
         """
         return draw_cohort(self.subjects, self.seed, environment, muscles=self.muscles)
+
+
+def _require_names(protocol: Protocol, source: str) -> None:
+    """Refuse other conditions under names of the thesis's: reports would set them beside its tables."""
+    published = {condition.name: condition for condition in THESIS.conditions}
+    for condition in protocol.conditions:
+        meant = published.get(condition.name, condition)
+        for what, value, expected in (
+            ("task", condition.task, meant.task),
+            ("has a multisine", condition.has_multisine, meant.has_multisine),
+        ):
+            if value != expected:
+                raise ValueError(
+                    f"{source}: condition {condition.name!r}: {what} = {value!r}; expected {expected!r}, as of the "
+                    "thesis's condition of that name (or another name)"
+                )

@@ -65,3 +65,19 @@ def test_what_is_no_manifest_is_refused(text, tmp_path):
     (tmp_path / "manifest.json").write_text(text)
     with pytest.raises(ValueError, match=r"manifest\.json"):
         read_manifest(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("condition", "message"),
+    [
+        ('name = "PT7.5"\ntask = "RT"\nrms_displacement = 0.0075', "'PT7.5': task = 'RT'; expected 'PT'"),
+        ('name = "PT0"\ntask = "PT"\nrms_displacement = 0.003', "'PT0': has a multisine = True; expected False"),
+    ],
+)
+def test_a_name_of_the_thesiss_is_for_its_condition(tmp_path, condition, message):
+    path = tmp_path / "own.toml"
+    path.write_text(f'forces = "practice"\n[[conditions]]\n{condition}\n', encoding="utf-8")
+    with pytest.raises(ValueError, match=rf"own.toml: condition {message}.*another name"):
+        StudySettings(protocol=path).load_protocol()
+    path.write_text(path.read_text(encoding="utf-8").replace("PT7.5", "MINE").replace("PT0", "MINE"), encoding="utf-8")
+    assert StudySettings(protocol=path).load_protocol().conditions[0].name == "MINE"
