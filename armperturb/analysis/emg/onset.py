@@ -17,7 +17,7 @@ likelihood, over the dispersion that the power shows.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -27,10 +27,12 @@ from scipy import stats
 
 from armperturb.analysis.emg.envelope import Envelopes, mean_known
 from armperturb.analysis.emg.onset_fit import LATENCIES, N_GAINS, Fits, MusclePower, Stretch
-from armperturb.analysis.emg.reflex import rotation, rows_of
+from armperturb.analysis.emg.reflex import rows_of
+from armperturb.analysis.emg.rotation import rotation
 from armperturb.analysis.results import Description, Result, Table
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array, Indices
+from armperturb.subject import Subject
 from armperturb.validation import as_list_of, require_type
 
 if TYPE_CHECKING:
@@ -121,12 +123,15 @@ class Onsets(Result):
         return plot_onsets(self, figure)
 
 
-def onsets(trials: Sequence[ConditionTrials], envelopes: Envelopes) -> Onsets:
+def onsets(
+    trials: Sequence[ConditionTrials], envelopes: Envelopes, arms: Mapping[str, Subject] | None = None
+) -> Onsets:
     """Latencies of the answers to pulses, the trials of several conditions together.
 
     Args:
       trials: of one person, of conditions that are analysed together.
       envelopes: of all the person's trials.
+      arms: condition to the arm whose grip gives, see `reflexes`; None for rigid ones.
 
     Raises:
       TypeError: trials are no `ConditionTrials`, or envelopes no `Envelopes`.
@@ -140,7 +145,7 @@ def onsets(trials: Sequence[ConditionTrials], envelopes: Envelopes) -> Onsets:
     power, moved, starts, directions = [], [], [], []
     latest = -math.inf
     for part in trials:
-        turned = rotation(part)
+        turned = rotation(part, (arms or {}).get(part.label))
         for place, row in enumerate(rows_of(part, envelopes)):
             row_labels = envelopes.labels.iloc[row]
             onset = float(row_labels["pulse_onset"])

@@ -7,7 +7,7 @@ import numpy as np
 
 from armperturb.analysis.arm.geometry import hand_jacobian
 from armperturb.analysis.emg.envelope import Envelopes
-from armperturb.analysis.emg.reflex import rotation
+from armperturb.analysis.emg.rotation import rotation
 from armperturb.analysis.response.record_window import RecordWindow
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array, Indices

@@ -16,6 +16,7 @@ and trials). The p of no response, in such noise, is that of the best of all del
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from types import NoneType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,13 +24,14 @@ import pandas as pd
 import xarray as xr
 from scipy import fft, optimize, special, stats
 
-from armperturb.analysis.arm.geometry import hand_jacobian
 from armperturb.analysis.cuts import limit_samples
 from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.emg.envelope import Envelopes, mean_known
+from armperturb.analysis.emg.rotation import rotation
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array, ComplexArray, Indices
+from armperturb.subject import Subject
 from armperturb.validation import require_type
 
 if TYPE_CHECKING:
@@ -155,23 +157,32 @@ class Reflexes(Result):
         return plot_reflexes(self, figure)
 
 
-def reflexes(trials: ConditionTrials, envelopes: Envelopes, *, window_start: float = WINDOW_START) -> Reflexes:
+def reflexes(
+    trials: ConditionTrials,
+    envelopes: Envelopes,
+    *,
+    window_start: float = WINDOW_START,
+    arm: Subject | None = None,
+) -> Reflexes:
     """Reflexes of one condition, from a time on to the pulses, and averages about these.
 
     Args:
       trials: of the condition.
       envelopes: of all the person's trials.
       window_start: when the transient of the perturbation has died away [s].
+      arm: of the person, as identified, whose grip gives: without it and without joint angles the handle's movement
+        passes for the hand's, and delays come out too short.
 
     Raises:
-      TypeError: trials are no `ConditionTrials`, or envelopes no `Envelopes`.
+      TypeError: trials are no `ConditionTrials`, envelopes no `Envelopes`, or arm no `Subject`.
       ValueError: no trial is long enough, or together they are too short; a joint does not turn; the envelopes hold
         other trials of the condition; or neither joint angles nor the posture are known.
     """
     require_type("reflexes: trials", trials, ConditionTrials, "trials of one condition, of ConditionTrials.prepare")
     require_type("reflexes: envelopes", envelopes, Envelopes, "those of armperturb.envelopes")
+    require_type("reflexes: arm", arm, (Subject, NoneType), "the person's, of an identification, or None")
     rows = rows_of(trials, envelopes)
-    angles, rate, names = rotation(trials), envelopes.rate, list(envelopes.muscles)
+    angles, rate, names = rotation(trials, arm), envelopes.rate, list(envelopes.muscles)
     first = round(window_start * rate)
     usable = np.minimum(trials.onset, limit_samples(trials.recording))
     ends = [min(int(end), angles.shape[1]) for end in usable]
@@ -239,14 +250,6 @@ def rows_of(trials: ConditionTrials, envelopes: Envelopes) -> Indices:
     whole = trials.whole or trials
     rows = envelopes.rows(whole.label, whole.n_trials)
     return rows if trials.whole is None else rows[trials.numbers]
-
-
-def rotation(trials: ConditionTrials) -> Array:
-    """Rotation of the joints, from their angles or, for small movements, from the handle [rad], (trial, time, 2)."""
-    if "joint_angle" in trials.recording.data_vars:
-        return np.asarray(trials.recording["joint_angle"].values, dtype=float)
-    inverse = np.linalg.inv(hand_jacobian(trials.body))
-    return np.asarray(trials.recorded_displacement @ inverse.T)
 
 
 def _design(q: ComplexArray, f: Array, delay: float) -> Array:

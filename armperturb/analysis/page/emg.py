@@ -11,6 +11,7 @@ from armperturb.analysis.results import Description
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.pages.page import Picture
 from armperturb.plots.style import new_figure
+from armperturb.subject import Subject
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,18 +37,21 @@ class EmgSection:
     left_out: tuple[str, ...]
 
 
-def emg_section(envelopes: Envelopes, trials: Mapping[str, Sequence[ConditionTrials]]) -> EmgSection:
+def emg_section(
+    envelopes: Envelopes, trials: Mapping[str, Sequence[ConditionTrials]], arms: Mapping[str, Subject]
+) -> EmgSection:
     """Analyse EMG for the page.
 
     Args:
       envelopes: of all trials of the person.
       trials: identified condition to its trials, those of one length together; where lengths differ, EMG of that
         condition is left out.
+      arms: condition to the arm that was identified.
     """
     of_muscles = activity(envelopes)
     left_out = list[str]()
-    responses = _responses(envelopes, trials, left_out)
-    of_pulses = _onsets(envelopes, trials, left_out)
+    responses = _responses(envelopes, trials, arms, left_out)
+    of_pulses = _onsets(envelopes, trials, arms, left_out)
     labels = envelopes.labels
     relaxed = list(dict.fromkeys(labels["condition"][labels["task"] == "RT"]))
     shown = labels["condition"].isin(list(trials)).to_numpy()
@@ -72,26 +76,32 @@ def emg_section(envelopes: Envelopes, trials: Mapping[str, Sequence[ConditionTri
 
 
 def _responses(
-    envelopes: Envelopes, trials: Mapping[str, Sequence[ConditionTrials]], left_out: list[str]
+    envelopes: Envelopes,
+    trials: Mapping[str, Sequence[ConditionTrials]],
+    arms: Mapping[str, Subject],
+    left_out: list[str],
 ) -> dict[str, Reflexes]:
     """Condition to the response from rotation to EMG, where there is one; `left_out` gets why of the others."""
     responses = {}
     for label, parts in trials.items():
         if len(parts) == 1:
             try:
-                responses[label] = reflexes(parts[0], envelopes)
+                responses[label] = reflexes(parts[0], envelopes, arm=arms.get(label))
             except ValueError as error:
                 left_out.append(f"Not shown: {error}")
     return responses
 
 
 def _onsets(
-    envelopes: Envelopes, trials: Mapping[str, Sequence[ConditionTrials]], left_out: list[str]
+    envelopes: Envelopes,
+    trials: Mapping[str, Sequence[ConditionTrials]],
+    arms: Mapping[str, Subject],
+    left_out: list[str],
 ) -> Onsets | None:
     """Answers to pulses of all conditions together; None where there are none, and `left_out` gets why."""
     parts = [each[0] for each in trials.values() if len(each) == 1 and (each[0].onset < each[0].n_samples).any()]
     try:
-        return onsets(parts, envelopes) if parts else None
+        return onsets(parts, envelopes, arms) if parts else None
     except ValueError as error:
         left_out.append(f"Not shown: {error}")
         return None

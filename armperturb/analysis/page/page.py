@@ -67,7 +67,8 @@ def write_page(
     Raises:
       OSError: the folder cannot be written to.
     """
-    content = _content(results, trials, origin, emg_section(emg, trials) if emg else None)
+    arms = {label: result.fit.arm for label, result in results.items()}
+    content = _content(results, trials, origin, emg_section(emg, trials, arms) if emg else None)
     write_whole(path, content)
 
 

@@ -1,15 +1,19 @@
 """Delay, gains and response of EMG that a known filter makes of rotation, and averages about pulses."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
 from invented_emg import EMG_RATE, RATE, noise, recorded
 from scipy import signal, stats
 
+from armperturb.analysis.arm.geometry import hand_jacobian
 from armperturb.analysis.emg.envelope import LABELS, Envelopes, envelopes
 from armperturb.analysis.emg.reflex import pulse_averages, reflexes
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.recording import Action
+from armperturb.subject import RELAX
 
 N_TRIALS, N = 6, 40_000
 DELAY = 0.037
@@ -101,6 +105,26 @@ def test_response_without_a_model_is_that_of_the_filter(result):
     inside = result.frequency < 10.0
     assert np.median(off[inside]) < 2.0
     assert np.median(result.coherence[:, inside]) > 0.5
+
+
+def test_the_grip_of_an_arm_is_taken_off_what_the_handle_shows(recording, amplitudes, result):
+    arm = replace(RELAX, k_h=2000.0, b_h=8.0)
+    angle, trials = recording["joint_angle"].values, ConditionTrials.prepare(recording)
+    hand = angle @ hand_jacobian(trials.body).T
+    force = 25.0 * np.gradient(hand, 1.0 / RATE, axis=1)
+    frequency = np.fft.rfftfreq(2 * angle.shape[1], 1.0 / RATE)
+    softness = 1.0 / (arm.b_h * 2j * np.pi * frequency + arm.k_h)
+    give = np.fft.irfft(np.fft.rfft(force, 2 * angle.shape[1], axis=1) * softness[:, None], axis=1)[:, : angle.shape[1]]
+    handled = recording.drop_vars(["joint_angle", "joint"]).assign(
+        displacement=recording["displacement"].copy(data=hand + give), force=recording["force"].copy(data=force)
+    )
+    alone, with_grip = (
+        reflexes(ConditionTrials.prepare(handled), amplitudes, window_start=1.0, arm=each).responses
+        for each in (None, arm)
+    )
+    expected = result.responses["delay_s"][1]
+    assert with_grip["delay_s"][1] == pytest.approx(expected, abs=5e-4)
+    assert abs(alone["delay_s"][1] - expected) > 5e-3
 
 
 def test_no_reflex_is_found_where_there_is_none(recording):

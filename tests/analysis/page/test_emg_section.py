@@ -21,7 +21,7 @@ def test_what_is_left_out_is_said_with_its_reason():
     recording = recorded(noise((3, 2, 28_000)), conditions, pulse_onset=[np.nan, 0.1, np.nan])
     still, early = trials_by_condition(recording).values()
     trials = {"still": [still], "early": [early], "one": [still.take([0])]}
-    shown = emg_section(envelopes(recording), trials)
+    shown = emg_section(envelopes(recording), trials, {})
     assert not shown.conditions
     assert not shown.has_pulses
     for line, reason in zip(shown.left_out, REASONS, strict=True):
