@@ -16,6 +16,7 @@ from armperturb.study.comparison.headlines import Headline
 from armperturb.study.comparison.score import Score, Share, missing_cells, shares
 from armperturb.study.experiments.mechanisms import PULSES, Yielding
 from armperturb.study.experiments.moving_shoulder import MovingShoulder
+from armperturb.study.published import tables as published
 from armperturb.study.report import findings as of_study
 from armperturb.study.report.emg import emg_section, relaxation
 from armperturb.study.report.explorer import panels
@@ -25,7 +26,7 @@ from armperturb.study.report.published_tables import published_tables
 from armperturb.study.report.tables import Row, mean_sd_of
 from armperturb.study.report.words import WORDS
 from armperturb.study.results.mean_admittance import main_conditions
-from armperturb.study.results.quantities import Cell, published_cells
+from armperturb.study.results.quantities import PULSE_LEVELS, Cell, published_cells
 from armperturb.study.results.study_result import StudyResult
 
 NEAR = 0.15
@@ -252,6 +253,7 @@ def left_out(study: StudyResult, fits: list[Row], remarks: Sequence[str]) -> dic
         "Missing, or made with other settings or versions": list(study.missing),
         "Left out of single results": [line for line in remarks if line not in study.missing],
         "Trials and people left out": [reason for case in study.cases for reason in case.left_out],
+        "Pulses that are recorded only, as the thesis has none of their condition and level": _own_pulses(study),
         "Maximum likelihood fits that did not converge": those(lambda row: "" if row["converged"] else row["status"]),
         "Maximum likelihood fits with a parameter at its bound": those(lambda row: row["at_bound"]),
         "Fits with residuals larger than the noise explains": those(
@@ -265,6 +267,16 @@ def left_out(study: StudyResult, fits: list[Row], remarks: Sequence[str]) -> dic
             lambda row: "" if row["stable"] else f"largest real part of a pole {row['largest_real_pole_per_s']:.3g} 1/s"
         ),
     }
+
+
+def _own_pulses(study: StudyResult) -> list[str]:
+    """Conditions and levels of pulses that tables, figures and tests of the thesis have no place for."""
+    return [
+        f"{condition.name}, level {level:g}"
+        for condition in study.protocol.conditions
+        for level in condition.pulse_levels
+        if level not in [PULSE_LEVELS[name] for name in published.pulse_levels(condition.name)]
+    ]
 
 
 def remarks(study: StudyResult) -> dict[str, dict[str, list[str]]]:
