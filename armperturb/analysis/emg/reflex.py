@@ -54,6 +54,9 @@ BACKGROUND, SHORT, LONG = (-0.1, 0.0), (0.02, 0.05), (0.05, 0.1)
 
 JOINTS = ("shoulder", "elbow")
 
+GAINS = ("velocity_s", "velocity_e", "position_s", "position_e")
+"""Columns of the gains of shoulder and elbow."""
+
 RANK = 1e-12
 """Power of a direction of the design over the largest one below which it counts as none [-]."""
 
@@ -263,38 +266,29 @@ def _design(q: ComplexArray, f: Array, delay: float) -> Array:
 
 def _whitened_fit(q: ComplexArray, a: ComplexArray, f: Array, shared: float) -> dict[str, float]:
     """`_fit` in noise whose spectrum is smooth: that of what a fit in flat noise leaves, a parabola in logarithms."""
-    first = _fit(q, a, f, shared)
-    if math.isnan(first["delay_s"]):
-        return first
-    left = np.mean(np.abs(a - _explained(q, f, first)) ** 2, axis=0)
+    left = np.mean(np.abs(a - _explained(q, f, *_searched(q, a, f))) ** 2, axis=0)
     bands = _bands(f)
     places, counts = np.unique(bands, return_counts=True)
     power = np.array([left[bands == place].mean() for place in places])
     if len(places) < FEWEST_BANDS or not (power > 0.0).all():
-        return first
+        return _fit(q, a, f, shared)
     centres = np.array([np.log(f[bands == place]).mean() for place in places])
     course = np.polynomial.Polynomial.fit(centres, np.log(power), 2, w=np.sqrt(counts))
     size = np.exp(course(np.clip(np.log(f), centres[0], centres[-1])) / 2.0)
     fit = _fit(q / size, a / size, f, shared)
-    remainder = np.sum(np.abs(a - _explained(q, f, fit)) ** 2)
-    return fit | {"coherence": max(1.0 - float(remainder / np.sum(np.abs(a) ** 2)), 0.0)}
+    left = a - _explained(q, f, fit["delay_s"], np.array([fit[name] for name in GAINS]))
+    return fit | {"coherence": max(1.0 - float(np.sum(np.abs(left) ** 2) / np.sum(np.abs(a) ** 2)), 0.0)}
 
 
-def _explained(q: ComplexArray, f: Array, fit: dict[str, float]) -> ComplexArray:
-    """Spectrum of the amplitude that a fit explains, (trial, frequency)."""
+def _explained(q: ComplexArray, f: Array, delay: float, gains: Array) -> ComplexArray:
+    """Spectrum of the amplitude that a delay [s] and `GAINS` explain, (trial, frequency)."""
     s = 2j * np.pi * f
-    gains = np.array([fit[f"velocity_{name}"] * s + fit[f"position_{name}"] for name in "se"])
-    return np.asarray(np.exp(-s * fit["delay_s"]) * np.sum(gains * q, axis=1))
+    response = np.exp(-s * delay) * (gains[:2, None] * s + gains[2:, None])
+    return np.asarray(np.sum(response * q, axis=1))
 
 
-def _fit(q: ComplexArray, a: ComplexArray, f: Array, shared: float) -> dict[str, float]:
-    """Delay and gains of a muscle in flat noise, with standard errors; a is (trial, frequency)."""
-    rows = np.concatenate([a.ravel().real, a.ravel().imag])
-    names = ("velocity_s", "velocity_e", "position_s", "position_e")
-    if not rows.any():  # a dead channel
-        values = (*WITH_LIMITS, *names, *(f"{name}_error" for name in names))
-        return dict.fromkeys(values, math.nan) | {"coherence": 0.0, "p": 1.0}
-
+def _searched(q: ComplexArray, a: ComplexArray, f: Array) -> tuple[float, Array]:
+    """Delay [s] and gains that explain most of an amplitude, (trial, frequency), in flat noise."""
     # A delay turns what the joints do, but does not change how the columns of the design go together.
     undelayed = _design(q, f, 0.0)
     inverse_gram = np.linalg.pinv(undelayed.T @ undelayed, hermitian=True)
@@ -312,8 +306,20 @@ def _fit(q: ComplexArray, a: ComplexArray, f: Array, shared: float) -> dict[str,
     delay = float(
         optimize.minimize_scalar(lambda x: -explained_by(x), bounds=bounds, method="bounded", options={"xatol": 1e-6}).x
     )
-    design = _design(q, f, delay)
-    gains, *_ = np.linalg.lstsq(design, rows, rcond=None)
+    rows = np.concatenate([a.ravel().real, a.ravel().imag])
+    gains, *_ = np.linalg.lstsq(_design(q, f, delay), rows, rcond=None)
+    return delay, gains
+
+
+def _fit(q: ComplexArray, a: ComplexArray, f: Array, shared: float) -> dict[str, float]:
+    """Delay and gains of a muscle in flat noise, with standard errors; a is (trial, frequency)."""
+    rows = np.concatenate([a.ravel().real, a.ravel().imag])
+    if not rows.any():  # a dead channel
+        values = (*WITH_LIMITS, *GAINS, *(f"{name}_error" for name in GAINS))
+        return dict.fromkeys(values, math.nan) | {"coherence": 0.0, "p": 1.0}
+
+    delay, gains = _searched(q, a, f)
+    design, undelayed = _design(q, f, delay), _design(q, f, 0.0)
     remainder = float(np.sum((rows - design @ gains) ** 2))
     change = (_design(q, f, delay + 1e-5) - _design(q, f, delay - 1e-5)) @ gains / 2e-5
     everything = np.column_stack([design, change])
@@ -334,8 +340,8 @@ def _fit(q: ComplexArray, a: ComplexArray, f: Array, shared: float) -> dict[str,
     limits = (delay, float(errors[4]), delay - half, delay + half)
     return {
         **dict(zip(WITH_LIMITS, limits, strict=True)),
-        **dict(zip(names, gains.tolist(), strict=True)),
-        **{f"{name}_error": float(error) for name, error in zip(names, errors[:4], strict=True)},
+        **dict(zip(GAINS, gains.tolist(), strict=True)),
+        **{f"{name}_error": float(error) for name, error in zip(GAINS, errors[:4], strict=True)},
         "coherence": explained,
         "p": searched_p(explained, n, undelayed, _design(-2j * np.pi * f * q, f, 0.0), DELAYS[1] - DELAYS[0]),
     }
