@@ -24,7 +24,6 @@ import pandas as pd
 import xarray as xr
 from scipy import fft, optimize, special, stats
 
-from armperturb.analysis.cuts import limit_samples
 from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.emg.envelope import Envelopes, mean_known
 from armperturb.analysis.emg.rotation import rotation
@@ -174,7 +173,7 @@ def reflexes(
       envelopes: of all the person's trials.
       window_start: when the transient of the perturbation has died away [s].
       arm: of the person, as identified, whose grip gives: without it and without joint angles the handle's movement
-        passes for the hand's, and delays come out too short.
+        passes for the hand's, and delays come out wrong, those of stiff arms too short.
 
     Raises:
       TypeError: trials are no `ConditionTrials`, envelopes no `Envelopes`, or arm no `Subject`.
@@ -187,8 +186,7 @@ def reflexes(
     rows = rows_of(trials, envelopes)
     angles, rate, names = rotation(trials, arm), envelopes.rate, list(envelopes.muscles)
     first = round(window_start * rate)
-    usable = np.minimum(trials.onset, limit_samples(trials.recording))
-    ends = [min(int(end), angles.shape[1]) for end in usable]
+    ends = [min(int(end), angles.shape[1]) for end in np.minimum(trials.onset, trials.limit)]
     used = [k for k, end in enumerate(ends) if end - first >= FEWEST_SECONDS * rate]
     if not used:
         raise ValueError(

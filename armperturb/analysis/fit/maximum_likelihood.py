@@ -420,5 +420,5 @@ def _judge(problem: JointLikelihood, method: Method, search: Searched) -> Estima
         skew={group.label: group.parts[0].skew for group in problem.groups},
         imbalance={group.label: group.parts[0].balance.imbalance for group in problem.groups},
     )
-    on_few = FEW_WITH_EMG if is_assumed else FEW
-    return replace(result, remarks=(*_remarks(result), *((on_few,) if few else ())))
+    on_few = (FEW_WITH_EMG if is_assumed else FEW,) if few else ()
+    return replace(result, remarks=(*_remarks(result), *on_few))

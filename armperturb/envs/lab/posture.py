@@ -155,8 +155,7 @@ def take_posture(
     error = _approach(model, data, free, hand, handle)
     if len(error) and np.abs(error).max() >= REACHED:
         # A straight arm at the end of its range does not bend by itself.
-        joints = _bounded(model)
-        joints = joints[np.isin(model.jnt_dofadr[joints], free)]
+        joints = _bounded(model, free)
         data.qpos[model.jnt_qposadr[joints]] = model.jnt_range[joints].mean(axis=1)
         error = _approach(model, data, free, hand, handle)
     model.opt.jacobian = sparse
@@ -187,8 +186,7 @@ def _approach(model: mujoco.MjModel, data: mujoco.MjData, free: Indices, hand: i
       handle: where the hand has to be [m], (3,); None for anywhere.
     """
     error = np.zeros(0)
-    bounded = _bounded(model)
-    bounded = bounded[np.isin(model.jnt_dofadr[bounded], free)]
+    bounded = _bounded(model, free)
     limits = model.jnt_range[bounded]
     for _ in range(POSE_STEPS):
         mujoco.mj_fwdPosition(model, data)
@@ -231,10 +229,10 @@ def scalar_joints(model: mujoco.MjModel) -> Indices:
     return np.flatnonzero(np.isin(model.jnt_type, [int(kind) for kind in SCALAR]))
 
 
-def _bounded(model: mujoco.MjModel) -> Indices:
-    """Ids of the joints of one coordinate that have a range."""
+def _bounded(model: mujoco.MjModel, free: Indices) -> Indices:
+    """Ids of the joints of one coordinate that have a range and may move, as their degree of freedom is free."""
     joints = scalar_joints(model)
-    return joints[model.jnt_limited[joints].astype(bool)]
+    return joints[model.jnt_limited[joints].astype(bool) & np.isin(model.jnt_dofadr[joints], free)]
 
 
 def muscles_of(model: mujoco.MjModel) -> Indices:

@@ -158,8 +158,8 @@ def compare(
     require_whole("compare", "seed", seed, at_least=0)
     require_type("compare: ideal", ideal, bool, "True or False")
     several = prepared_condition(recording)
-    require_two_axes(several[0].recording)
     first = several[0].recording
+    require_two_axes(first)
     task = str(first["task"].values[0])
     require_one_of("recording", "task", task, TASKS)
     estimate = response(several, window_start=WINDOW_START)
