@@ -1,6 +1,7 @@
 """A study of random numbers, for tests of what is made of one."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -129,3 +130,32 @@ def study_of(people):
     return StudyResult(
         made=None, protocol=THESIS, environment=Environment(), cohort=(), cases=cases, people=tuple(people)
     )
+
+
+def renamed(study, factor=1.5):
+    """The same study, whose conditions have names of their own, and whose levels of pulses are larger by a factor."""
+    names = {condition.name: f"own {condition.name}" for condition in study.protocol.conditions}
+    conditions = {
+        condition.name: replace(
+            condition,
+            name=names[condition.name],
+            pulse_levels=tuple(factor * level for level in condition.pulse_levels),
+        )
+        for condition in study.protocol.conditions
+    }
+    people = tuple(
+        replace(
+            each,
+            conditions=tuple(names[name] for name in each.conditions),
+            trials=tuple(
+                trial._replace(condition=names[trial.condition], pulse_level=factor * trial.pulse_level)
+                for trial in each.trials
+            ),
+            estimates={names[name]: estimate for name, estimate in each.estimates.items()},
+        )
+        for each in study.people
+    )
+    unit = names.get(study.protocol.pulse_unit_condition, "")
+    protocol = replace(study.protocol, conditions=tuple(conditions.values()), pulse_unit_condition=unit)
+    cases = tuple(replace(case, condition=conditions[case.condition.name]) for case in study.cases)
+    return replace(study, protocol=protocol, people=people, cases=cases)

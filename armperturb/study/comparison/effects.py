@@ -14,18 +14,21 @@ from armperturb.analysis.measures import statistics
 from armperturb.analysis.measures.statistics import ALPHA, FEWEST, Effect
 from armperturb.arrays import Array
 from armperturb.study.comparison.headlines import POST_HOC, PULSED
+from armperturb.study.protocol import Condition
 from armperturb.study.published import tables as published
-from armperturb.study.results.mean_admittance import by_task
+from armperturb.study.results.mean_admittance import by_task, perturbed_conditions
+from armperturb.study.results.quantities import level_name
 from armperturb.study.results.study_result import StudyResult
 from armperturb.study.results.trial_measures import PersonMeasures, muscle_parameter, stable_mean
+from armperturb.subject import TASKS
 
 Row = dict[str, Any]
 
 PREDICTED = {task: pulses[1:] for task, pulses in PULSED.items()}
-"""Task to the pulses whose prediction is tested (3.3): those after a multisine."""
+"""Task to the pulses whose prediction the thesis tests (3.3): those after a multisine."""
 
 AMPLITUDES = {task: tuple(condition for condition, _ in pulses) for task, pulses in PREDICTED.items()}
-"""Task to the conditions whose multisines differ, the smallest first."""
+"""Task to the thesis's conditions whose multisines differ, the smallest first."""
 
 TRIPLES = {"PT": ("b", "k", "kv", "kp"), "RT": ("b", "k")}
 """Task to the matrices whose parameters are tested."""
@@ -41,9 +44,6 @@ STARRED_MUSCLES = ("k_s*", "kv_s*", "kp_s*")
 
 Of other muscles the thesis tells nothing.
 """
-
-LEVELS_OF = ("PT0", "PT7.5")
-"""Conditions with pulses of both levels."""
 
 
 PRINTED_TESTS = {
@@ -84,6 +84,7 @@ class Effects:
     Attributes:
       admittance: task to the tests of the gain.
       parameters: task and parameter to p, of the thesis's fits; with a star those of one-joint muscles.
+      levels: condition with pulses of several levels to the p of the largest against the smallest.
       rows: one per test, for a table.
       pairs: one per pair of conditions, likewise.
       remarks: tests that were not made, or without some people, and why.
@@ -91,6 +92,7 @@ class Effects:
 
     admittance: Mapping[str, AdmittanceEffect]
     parameters: Mapping[tuple[str, str], float]
+    levels: Mapping[str, float]
     rows: tuple[Row, ...]
     pairs: tuple[Row, ...]
     remarks: tuple[str, ...]
@@ -155,14 +157,19 @@ class _Tests:
             )
         return effect.p
 
-    def levels(self, condition: str, values: Mapping[str, Sequence[float]], printed: str) -> None:
-        """Dependent t-test of the two levels of pulses."""
-        table = self.table(f"pulse admittance, levels of {condition}", values, ("level 2", "level 1"))
-        if table is not None:
-            test, none = statistics.post_hoc(table)[0, 1], math.nan
-            effect = Effect("dependent t", test.t, (test.dof,), test.p, none, none, none, (none,), len(table))
-            compared = f"{condition}, level 2 against 1"
-            self.rows.append(_row("pulse admittance", condition[:2], compared, effect, printed))
+    def levels(
+        self, condition: Condition, values: Mapping[str, Sequence[float]], levels: tuple[float, float], printed: str
+    ) -> float:
+        """Dependent t-test of two levels of pulses; gives p, NaN if it cannot be told."""
+        words = [f"level {level:g}" for level in levels]
+        table = self.table(f"pulse admittance, levels of {condition.name}", values, words)
+        if table is None:
+            return math.nan
+        test, none = statistics.post_hoc(table)[0, 1], math.nan
+        effect = Effect("dependent t", test.t, (test.dof,), test.p, none, none, none, (none,), len(table))
+        compared = f"{condition.name}, level {levels[0]:g} against {levels[1]:g}"
+        self.rows.append(_row("pulse admittance", condition.task, compared, effect, printed))
+        return test.p
 
 
 def _row(what: str, task: str, conditions: str, effect: Effect, printed: str) -> Row:
@@ -186,13 +193,15 @@ def _row(what: str, task: str, conditions: str, effect: Effect, printed: str) ->
 def effects(study: StudyResult) -> Effects:
     """All tests that the people and conditions of a study allow."""
     tests = _Tests()
-    admittance = {task: effect for task in AMPLITUDES if (effect := admittance_effect(study, task)) is not None}
+    admittance = {task: effect for task in TASKS if (effect := admittance_effect(study, task)) is not None}
     parameters: dict[tuple[str, str], float] = {}
-    for task, conditions in AMPLITUDES.items():
-        for kind, place in itertools.product(TRIPLES[task], PLACES):
+    for task, of_task in by_task(study).items():
+        conditions = tuple(condition.name for condition in of_task)
+        for kind, place in itertools.product(TRIPLES[task], PLACES) if len(conditions) > 1 else ():
             name = f"{kind}_{place}"
             values = {person.name: [_parameter(person, c, name) for c in conditions] for person in study.people}
-            parameters[task, name] = tests.effect(name, task, values, conditions, _printed_parameter(name, task))
+            printed = _printed_parameter(name, task) if conditions == AMPLITUDES[task] else ""
+            parameters[task, name] = tests.effect(name, task, values, conditions, printed)
 
     def pulses(quantity: str, of: Sequence[tuple[str, str]]) -> dict[str, list[float]]:
         return {
@@ -200,27 +209,60 @@ def effects(study: StudyResult) -> Effects:
             for person in study.people
         }
 
-    for quantity, of_task in (("displacement", PULSED), ("admittance", PULSED), ("prediction", PREDICTED)):
+    for quantity, of_thesis in (("displacement", PULSED), ("admittance", PULSED), ("prediction", PREDICTED)):
         what = "peak displacement" if quantity == "displacement" else f"pulse {quantity}"
-        for task, pairs in of_task.items():
-            compared = tuple(condition for condition, _ in pairs)
-            printed = PRINTED_TESTS.get((what, task))
-            text = published.headline_text(printed) if printed else ""
-            tests.effect(what, task, pulses(quantity, pairs), compared, text, _printed_pairs(what, task))
-    for condition in LEVELS_OF:
-        values = pulses("admittance", [(condition, level) for level in ("max", "min")])
-        tests.levels(condition, values, published.headline_text(f"p_pulse_admittance_level_{condition.lower()}"))
+        for task in TASKS:
+            pairs = compared_pulses(study, task, predicted=quantity == "prediction")
+            if len(pairs) > 1:
+                compared, as_printed = tuple(condition for condition, _ in pairs), pairs == of_thesis[task]
+                test = PRINTED_TESTS.get((what, task)) if as_printed else None
+                text = published.headline_text(test) if test else ""
+                printed_pairs = _printed_pairs(what, task) if as_printed else {}
+                tests.effect(what, task, pulses(quantity, pairs), compared, text, printed_pairs)
+    levels = {}
+    for condition in study.protocol.conditions:
+        if len([pulse for pulse in study.pulses if pulse[0] == condition.name]) > 1:
+            ends = (max(condition.pulse_levels), min(condition.pulse_levels))
+            names = tuple(map(level_name, ends))
+            printed = f"p_pulse_admittance_level_{condition.name.lower()}" if _prints(condition.name, names) else ""
+            levels[condition.name] = tests.levels(
+                condition,
+                pulses("admittance", [(condition.name, name) for name in names]),
+                ends,
+                published.headline_text(printed) if printed else "",
+            )
     return Effects(
         admittance=admittance,
         parameters=parameters,
+        levels=levels,
         rows=tuple(tests.rows),
         pairs=tuple(tests.pairs),
         remarks=tuple(tests.remarks),
     )
 
 
+def compared_pulses(study: StudyResult, task: str, *, predicted: bool = False) -> tuple[tuple[str, str], ...]:
+    """Condition and level of the pulses that show what the multisine before them does, the smallest movement first.
+
+    They are of the largest level that all conditions of the task with pulses have; none if they have none in common.
+
+    Args:
+      study: with measured people.
+      task: "PT" or "RT".
+      predicted: leave out conditions without a multisine, in which nothing predicts a pulse.
+    """
+    pulsed = {condition for condition, _ in study.pulses}
+    conditions = [
+        condition
+        for condition in perturbed_conditions(study, task)
+        if condition.name in pulsed and (condition.has_multisine or not predicted)
+    ]
+    common = set.intersection(*(set(condition.pulse_levels) for condition in conditions)) if conditions else set()
+    return tuple((condition.name, level_name(max(common))) for condition in conditions if common)
+
+
 def admittance_effect(study: StudyResult, task: str) -> AdmittanceEffect | None:
-    """Test the gain of each element at each frequency; None with fewer than three people or amplitudes.
+    """Test the gain of each element at each frequency; None with fewer than three people or two amplitudes.
 
     A condition that the protocol lacks is none of the amplitudes; people who lack one that it has are left out.
     """
@@ -230,7 +272,7 @@ def admittance_effect(study: StudyResult, task: str) -> AdmittanceEffect | None:
         for case in study.of(condition):
             gains.setdefault(case.name, {})[condition] = np.abs(case.identified.spectra.arm)
     whole = [[of_person[c] for c in conditions] for of_person in gains.values() if len(of_person) == len(conditions)]
-    if len(conditions) < 3 or len(whole) < FEWEST:
+    if len(conditions) < 2 or len(whole) < FEWEST:
         return None
     gain = np.array(whole)  # (subject, condition, frequency, output, input)
     p = np.empty(gain.shape[2:])
@@ -243,6 +285,11 @@ def _parameter(person: PersonMeasures, condition: str, name: str) -> float:
     """Mean over the stable trials of what the thesis's estimator gives; NaN without any."""
     estimate = person.estimates.get(condition)
     return math.nan if estimate is None else muscle_parameter(name, partial(stable_mean, estimate))
+
+
+def _prints(condition: str, levels: Sequence[str]) -> bool:
+    """Whether the thesis compares the two levels in a condition."""
+    return set(published.pulse_levels(condition)) == set(levels)
 
 
 def _printed_parameter(name: str, task: str) -> str:

@@ -4,8 +4,7 @@ import math
 from typing import Any
 
 from armperturb.analysis.fit.structures import unit
-from armperturb.study.comparison.headlines import PREDICTED
-from armperturb.study.report.findings import low_gain, person_excess
+from armperturb.study.report.findings import excesses, low_gain
 from armperturb.study.results.mean_admittance import by_task
 from armperturb.study.results.study_result import StudyResult
 
@@ -53,12 +52,10 @@ def panels(study: StudyResult) -> list[dict[str, Any]]:
     for case in cases:
         column = case.condition.name, case.condition.task, ""
         made.add(("gain at low frequencies", "mm/N", True), case.name, column, 1e3 * low_gain(case), None, None)
-    for condition, level in PREDICTED:
-        for person in study.people:
-            excess = person_excess(person, condition, level)
-            if math.isfinite(excess):
-                column = condition, condition[:2], level
-                made.add(("recorded over predicted peak", "", False), person.name, column, excess, None, None)
+    for condition, level, values in excesses(study):
+        for name, excess in values.items():
+            column = condition.name, condition.task, level
+            made.add(("recorded over predicted peak", "", False), name, column, excess, None, None)
     for case in cases:
         fit, column = case.identified.fit, (case.condition.name, case.condition.task, "")
         for name, value in fit.values.items():

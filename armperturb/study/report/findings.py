@@ -10,13 +10,13 @@ from scipy import stats
 
 from armperturb.analysis.fit.maximum_likelihood import SUSPICIOUS
 from armperturb.arrays import Array
-from armperturb.study.comparison.headlines import PREDICTED
 from armperturb.study.experiments.mechanisms import AMPLITUDES, ONE_LEVEL, Yielding
+from armperturb.study.protocol import Condition
 from armperturb.study.report.tables import Row
 from armperturb.study.results.cases import Case
-from armperturb.study.results.mean_admittance import by_task, main_conditions
+from armperturb.study.results.mean_admittance import by_task, main_conditions, perturbed_conditions
 from armperturb.study.results.study_result import StudyResult
-from armperturb.study.results.trial_measures import N_LOW, PersonMeasures
+from armperturb.study.results.trial_measures import N_LOW
 from armperturb.subject import TASKS
 
 CONFIDENCE = 0.95
@@ -90,22 +90,40 @@ def low_gains(study: StudyResult, condition: str) -> dict[str, float]:
     return {case.name: low_gain(case) for case in study.of(condition)}
 
 
-def person_excess(person: PersonMeasures, condition: str, level: str) -> float:
-    """Recorded over predicted peak displacement of a person, of the linear arm [-]; NaN without a prediction."""
-    pulse = person.pulses.get((condition, level))
-    return pulse.excess if pulse is not None else math.nan
+class Excess(NamedTuple):
+    """Recorded over predicted peak displacement after a pulse, of the linear arm.
+
+    Attributes:
+      condition: of the protocol.
+      level: of the pulse, as tables call it.
+      values: person to their own [-].
+    """
+
+    condition: Condition
+    level: str
+    values: dict[str, float]
+
+
+def excesses(study: StudyResult) -> list[Excess]:
+    """One for each pulse that is predicted of somebody, those of PT first."""
+    results = []
+    for task in TASKS:
+        for condition in perturbed_conditions(study, task):
+            for level in (level for name, level in study.pulses if name == condition.name):
+                of_pulse = {person.name: person.pulses.get((condition.name, level)) for person in study.people}
+                values = {name: its.excess for name, its in of_pulse.items() if its is not None and its.excess > 0.0}
+                if values:
+                    results.append(Excess(condition, level, values))
+    return results
 
 
 def excess_rows(study: StudyResult) -> list[Row]:
     """Recorded over predicted peak of each pulse that is predicted: geometric mean over people with its interval."""
     rows = []
-    for condition, level in PREDICTED:
-        values = [person_excess(person, condition, level) for person in study.people]
-        known = [value for value in values if math.isfinite(value) and value > 0.0]
-        if known:
-            mean, lower, upper = geometric_mean(known)
-            interval = {"mean": mean, "lower_95": lower, "upper_95": upper}
-            rows.append({"condition": condition, "level": level, **interval, "people": len(known)})
+    for condition, level, values in excesses(study):
+        mean, lower, upper = geometric_mean(list(values.values()))
+        interval = {"mean": mean, "lower_95": lower, "upper_95": upper}
+        rows.append({"condition": condition.name, "level": level, **interval, "people": len(values)})
     return rows
 
 
@@ -128,11 +146,11 @@ def findings(study: StudyResult) -> dict[str, Finding]:
     for task, conditions in by_task(study).items():
         if len(conditions) > 1:
             ratios.append(_ratio(study, f"amplitude_{task}", conditions[-1].name, conditions[0].name))
+    of_pulses = [excess.values for excess in excesses(study)]
     values = {}
     for person in study.people:
-        excess = [value for pulse in PREDICTED if math.isfinite(value := person_excess(person, *pulse)) and value > 0.0]
-        if excess:
-            values[person.name] = float(np.exp(np.mean(np.log(excess))))
+        if logs := [math.log(of_people[person.name]) for of_people in of_pulses if person.name in of_people]:
+            values[person.name] = math.exp(np.mean(logs))
     ratios.append(Finding.of("excess", "recorded", "predicted", values))
     return {finding.name: finding for finding in ratios if finding is not None}
 

@@ -30,6 +30,7 @@ from armperturb.study.report.tables import write_tables
 from armperturb.study.report.words import WORDS
 from armperturb.study.results.cache import CachedResult, Unit, kept_or_computed
 from armperturb.study.results.mean_admittance import by_task, main_conditions
+from armperturb.study.results.quantities import published_cells
 from armperturb.study.results.study_result import StudyResult
 from armperturb.validation import require_type
 from armperturb.workers import LocalProcesses, require_workers, workers_for
@@ -80,7 +81,8 @@ def write_report(
         rows = write_tables(study, out / "tables")
         tested = effects(study)
         # Without a condition of the published tables there is nothing to compare.
-        scored = score(study) if any(person.cells for person in study.people) else None
+        compared = any(person.cells.keys() & published_cells().keys() for person in study.people)
+        scored = score(study) if compared else None
         if scored is not None:
             write_score(scored, out / "score")
         simulations = _simulations(study, out) if simulate else {}

@@ -26,7 +26,7 @@ from armperturb.study.report.published_tables import published_tables
 from armperturb.study.report.tables import Row, mean_sd_of
 from armperturb.study.report.words import WORDS
 from armperturb.study.results.mean_admittance import main_conditions
-from armperturb.study.results.quantities import PULSE_LEVELS, Cell, published_cells
+from armperturb.study.results.quantities import Cell, published_cells
 from armperturb.study.results.study_result import StudyResult
 
 NEAR = 0.15
@@ -74,6 +74,7 @@ def sections(
             "rows": rows["summary"],
             "findings": ratios,
             "alone": alone,
+            "calibrated": published.conditions(),
             "relaxation": relaxation(study),
             "fits": rows["fits"],
             **flagged,
@@ -105,9 +106,9 @@ def sections(
         contexts["nonlinear"] = _nonlinear(study)
     if effects.rows or effects.admittance:
         contexts["statistics"] = {"effects": effects}
-    if score is not None or "joint_rotations" in drawn:
+    if (joints := joint_rows(study)) or score is not None or "joint_rotations" in drawn:
         contexts["kinematics"] = {
-            "joints": joint_rows(study),
+            "joints": joints,
             "limits": elastic_rows(_means(study)),
             "printed_limits": elastic_rows({cell: printed.mean for cell, printed in published_cells().items()}),
             "shoulder": shoulder,
@@ -165,9 +166,13 @@ def _nonlinear(study: StudyResult) -> dict[str, Any]:
 def joint_rows(study: StudyResult) -> list[Row]:
     """Joint rotations and velocities from the handle's path, and as simulated, beside the printed ones, SI."""
     rows = []
-    for cell, printed in published_cells().items():
+    recorded = [cell for person in study.people for cell in person.cells]
+    unprinted = [c.name for c in study.protocol.conditions if c.name not in published.conditions()]
+    others = [cell for name in unprinted for cell in dict.fromkeys(recorded) if cell.condition == name]
+    for cell in sorted((*published_cells(), *others), key=lambda cell: cell.table):
         if not cell.table.startswith("F"):
             continue
+        printed = published_cells().get(cell, published.MeanSD(math.nan, math.nan))
         path, true = (
             [of_person[cell] for of_person in of_people if cell in of_person]
             for of_people in ([p.cells for p in study.people], [p.true_cells for p in study.people])
@@ -253,7 +258,6 @@ def left_out(study: StudyResult, fits: list[Row], remarks: Sequence[str]) -> dic
         "Missing, or made with other settings or versions": list(study.missing),
         "Left out of single results": [line for line in remarks if line not in study.missing],
         "Trials and people left out": [reason for case in study.cases for reason in case.left_out],
-        "Pulses that are recorded only, as the thesis has none of their condition and level": _own_pulses(study),
         "Maximum likelihood fits that did not converge": those(lambda row: "" if row["converged"] else row["status"]),
         "Maximum likelihood fits with a parameter at its bound": those(lambda row: row["at_bound"]),
         "Fits with residuals larger than the noise explains": those(
@@ -267,16 +271,6 @@ def left_out(study: StudyResult, fits: list[Row], remarks: Sequence[str]) -> dic
             lambda row: "" if row["stable"] else f"largest real part of a pole {row['largest_real_pole_per_s']:.3g} 1/s"
         ),
     }
-
-
-def _own_pulses(study: StudyResult) -> list[str]:
-    """Conditions and levels of pulses that tables, figures and tests of the thesis have no place for."""
-    return [
-        f"{condition.name}, level {level:g}"
-        for condition in study.protocol.conditions
-        for level in condition.pulse_levels
-        if level not in [PULSE_LEVELS[name] for name in published.pulse_levels(condition.name)]
-    ]
 
 
 def remarks(study: StudyResult) -> dict[str, dict[str, list[str]]]:

@@ -13,10 +13,15 @@ from armperturb.subject import TASKS
 
 
 def by_task(study: StudyResult) -> dict[str, list[Condition]]:
-    """Tasks in which somebody was identified, to their conditions, the smallest intended displacement first."""
-    present = sorted(study.conditions, key=lambda condition: condition.rms_displacement)
-    tasks = {task: [condition for condition in present if condition.task == task] for task in TASKS}
+    """Tasks in which somebody was identified, to their conditions, the smallest displacement first."""
+    tasks = {task: [c for c in perturbed_conditions(study, task) if c in study.conditions] for task in TASKS}
     return {task: conditions for task, conditions in tasks.items() if conditions}
+
+
+def perturbed_conditions(study: StudyResult, task: str) -> list[Condition]:
+    """The protocol's conditions of a task with a perturbation, the smallest displacement under the multisine first."""
+    present = [c for c in study.protocol.conditions if c.task == task and c.contraction is None]
+    return sorted(present, key=lambda condition: condition.rms_displacement * condition.reached)
 
 
 def main_conditions(study: StudyResult) -> dict[str, Condition]:

@@ -20,6 +20,7 @@ from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
 from armperturb.environment import Environment
 from armperturb.planar_arm.skeletal import simulate_skeletal
+from armperturb.study.protocol import Condition
 from armperturb.study.results.cases import Case
 from armperturb.subject import Subject
 
@@ -27,7 +28,25 @@ MODELS = ("linear", "skeletal", "nonlinear")
 """Linear arm, the same arm with the geometry of its movement, and the arm with a muscle law."""
 
 PATHS = {"PT": ("PT7.5", 2.0), "RT": ("RT7.5", 1.0)}
-"""Task to condition and pulse level whose paths are drawn (figures 3.17, 3.18)."""
+"""Task to condition and pulse level whose paths the thesis draws (figures 3.17, 3.18)."""
+
+
+def drawn_pulse(conditions: Iterable[Condition], task: str) -> tuple[str, float] | None:
+    """Condition and pulse level whose paths are drawn; None without pulses after a multisine.
+
+    The thesis's; where it is not among these, the largest level of the first condition that has both.
+
+    Args:
+      conditions: of the protocol.
+      task: "PT" or "RT".
+    """
+    pulses = [
+        (condition.name, level)
+        for condition in conditions
+        if condition.task == task and condition.has_multisine
+        for level in sorted(condition.pulse_levels, reverse=True)
+    ]
+    return PATHS[task] if PATHS[task] in pulses else next(iter(pulses), None)
 
 
 class LeftOutPulse(NamedTuple):
@@ -39,8 +58,7 @@ class LeftOutPulse(NamedTuple):
       direction_deg: of the pulse, from the x axis.
       peak: model to predicted over recorded peak displacement [%] (eq. 2.25); without models that predict nothing.
       vaf: model to the share of the path's variance that it accounts for [%], x and y together.
-      paths: "recorded" and models to the displacement from the onset on [m], (time, axis); only of the pulses of
-        `PATHS`.
+      paths: "recorded" and models to the displacement from the onset on [m], (time, axis); only of `drawn_pulse`.
     """
 
     condition: str
@@ -145,9 +163,9 @@ def fit_nonlinear(
         arms = {label: case.identified.fit.arm for label, case in identified.items()}
         estimate = fit(fitted, arms, initial=start, checkpoint=checkpoint)
         subjects = {label: estimate.subject(task, label) for label in sets}
-        pulses = _left_out(
-            mine, sets, subjects, {label: case.thesis_estimate for label, case in identified.items()}, fitted_deg
-        )
+        drawn = drawn_pulse((case.condition for case in cases), task)
+        estimates = {label: case.thesis_estimate for label, case in identified.items()}
+        pulses = _left_out(mine, sets, subjects, estimates, fitted_deg, drawn)
     except ValueError as error:  # must not cost the other people their results
         return nothing._replace(failed=str(error))
     intervals = {parameter: estimate.interval(parameter) for parameter in estimate.values}
@@ -184,8 +202,9 @@ def _left_out(
     subjects: Mapping[str, Subject],
     estimates: Mapping[str, ThesisEstimate | None],
     fitted_deg: Iterable[float],
+    drawn: tuple[str, float] | None,
 ) -> list[LeftOutPulse]:
-    """What the models predict of pulses whose direction was not fitted."""
+    """What the models predict of pulses whose direction was not fitted; with paths of those that are drawn."""
     from armperturb.analysis.nonlinear.prediction import predict_pulses
 
     fitted = list(fitted_deg)
@@ -207,7 +226,7 @@ def _left_out(
                 finite = {model: its for model, its in predicted.items() if np.isfinite(its.predicted).all()}
                 level = abs(float(mine["pulse_level"].values[trial]))
                 paths: dict[str, Array] = {}
-                if finite and (label, level) in PATHS.values():
+                if finite and (label, level) == drawn:
                     paths = {"recorded": pulse.recorded, **{model: its.predicted for model, its in finite.items()}}
                 peak, vaf = ({model: getattr(its, of) for model, its in finite.items()} for of in ("peak", "vaf"))
                 pulses.append(LeftOutPulse(label, level, float(direction), peak, vaf, paths))

@@ -18,6 +18,9 @@ and both directions of a level (min 1, max 2), or repetitions and levels of a di
 a sign, negative at 20 deg and positive at 200 deg from the x axis (note d of table 2.1); a pulse to the right is one at
 20 deg, as x points right, whatever the sign. The pulse unit of table 2.1 is no cell: it is ten times the force of
 PT7.5.
+
+A condition that the thesis does not have fills cells likewise, of what was recorded: of a multisine if the handle is
+perturbed in its window, and of each level of its pulses. No published value stands beside them.
 """
 
 import functools
@@ -46,7 +49,7 @@ LIMITS = (0.5, 1.0, 2.0)
 """Distances from the published mean within which cells are counted [published SD]."""
 
 PULSE_LEVELS = {"min": 1.0, "max": 2.0}
-"""Name of a pulse level to the level [-]."""
+"""Name of the thesis's pulse levels to the level [-]."""
 
 
 class Cell(NamedTuple):
@@ -54,7 +57,7 @@ class Cell(NamedTuple):
 
     Attributes:
       table: as printed, e.g. "F.2".
-      condition: e.g. "PT7.5".
+      condition: e.g. "PT7.5", or one of a protocol's own.
       quantity: what is measured, see the head of this module.
     """
 
@@ -73,6 +76,11 @@ class Measured(NamedTuple):
 
     cells: dict[Cell, float]
     left_out: tuple[str, ...]
+
+
+def level_name(level: float) -> str:
+    """What a level of pulses, a multiple of the unit, is called in tables: "min" (1), "max" (2), or the number."""
+    return next((name for name, value in PULSE_LEVELS.items() if value == level), f"{level:g}")
 
 
 @functools.cache
@@ -98,8 +106,8 @@ def measured_cells(
     """Published cells that the recordings of one person fill, SI; `measure` also tells what is missing and why.
 
     Args:
-      recording: trials of one person in any of the thesis's conditions, of people or simulated, with or without
-        instruments; conditions that are missing give no cells.
+      recording: trials of one person, of people or simulated, with or without instruments; conditions of the thesis
+        that are missing give no cells.
       window_start: start of the multisine's window [s].
       period: its length [s].
 
@@ -131,12 +139,18 @@ def measure(
     rotation = kinematics.true_rotations(recording) if simulated_joints else kinematics.joint_rotations(inside)
     rate = float(inside.attrs["rate"])
     path = _Path(inside, rate, rotation, kinematics.joint_velocities(rotation, rate))
-    wanted, pools = published_cells(), dict[Cell, dict[str, list[float]]]()
+    pools: dict[Cell, dict[str, list[float]]] = {}
+    levels: dict[str, set[str]] = {}
+    window = slice(round(window_start * rate), round((window_start + period) * rate))
     for trial, condition in enumerate(inside["condition"].values.tolist()):
+        of_thesis = condition in published.conditions()
+        has_pulse = not np.isnan(inside["pulse_onset"].values[trial])
         parts: list[Callable[[], Iterator[_Value]]] = []
-        if published.has_multisine(condition):
-            parts.append(partial(_multisine_values, path, trial, window_start, period))
-        if published.pulse_levels(condition) and not np.isnan(inside["pulse_onset"].values[trial]):
+        if published.has_multisine(condition) if of_thesis else _is_perturbed(inside, trial, window):
+            parts.append(partial(_multisine_values, path, trial, window))
+        if has_pulse and not of_thesis:
+            levels.setdefault(condition, set()).add(level_name(abs(float(inside["pulse_level"].values[trial]))))
+        if has_pulse and (published.pulse_levels(condition) or not of_thesis):
             parts.append(partial(_pulse_values, path, trial))
         for part in parts:
             try:
@@ -147,10 +161,13 @@ def measure(
             for cell, kind, value in values:
                 pools.setdefault(cell, {}).setdefault(kind, []).append(value)
     cells = {}
-    for cell in wanted:
+    for cell in dict.fromkeys((*published_cells(), *pools)):
         kinds = pools.get(cell, {})
+        if cell not in published_cells() and cell.condition in published.conditions():
+            continue
         # Without one of its levels a cell would not mean what the thesis's does: a level more makes peaks larger.
-        missing = set(published.pulse_levels(cell.condition) if cell.table == "F.6" else ()) - kinds.keys()
+        all_levels = levels.get(cell.condition, published.pulse_levels(cell.condition))
+        missing = set(all_levels if cell.table == "F.6" else ()) - kinds.keys()
         if kinds and not missing:
             mean = float(np.mean([np.mean(values) for values in kinds.values()]))
             cells[cell] = math.sqrt(mean) if cell.quantity.startswith("rms") else mean
@@ -207,15 +224,20 @@ def _first_sample_from(time: float, rate: float) -> int:
     return round(samples) if math.isclose(samples, round(samples), abs_tol=1e-6) else math.ceil(samples)
 
 
-def _multisine_values(path: _Path, trial: int, window_start: float, period: float) -> Iterator[_Value]:
+def _is_perturbed(recording: xr.Dataset, trial: int, window: slice) -> bool:
+    """Whether the handle is perturbed in the multisine's window, before any pulse."""
+    onset = float(recording["pulse_onset"].values[trial])
+    end = window.stop if np.isnan(onset) else min(window.stop, round(onset * float(recording.attrs["rate"])))
+    return bool(recording["perturbation"].values[trial, window.start : end].any())
+
+
+def _multisine_values(path: _Path, trial: int, window: slice) -> Iterator[_Value]:
     recording = path.recording
-    window = slice(round(window_start * path.rate), round((window_start + period) * path.rate))
     onset = float(recording["pulse_onset"].values[trial])
     end = recording.sizes["time"] if np.isnan(onset) else round(onset * path.rate)
     if window.stop > end:
-        raise ValueError(
-            f"trial {trial}: the multisine ends at {end / path.rate:g} s; expected {window_start + period:g} s or more"
-        )
+        ends, expected = end / path.rate, window.stop / path.rate
+        raise ValueError(f"trial {trial}: the multisine ends at {ends:g} s; expected {expected:g} s or more")
     limit = float(recording["limit_time"].values[trial])
     if limit * path.rate < window.stop:
         raise ValueError(
@@ -234,8 +256,8 @@ def _pulse_values(path: _Path, trial: int) -> Iterator[_Value]:
     recording = path.recording
     window = pulse_span(recording, trial)
     condition, level = str(recording["condition"].values[trial]), abs(float(recording["pulse_level"].values[trial]))
-    named = next((name for name, value in PULSE_LEVELS.items() if value == level), None)
-    if named is None:
+    named = level_name(level)
+    if condition in published.conditions() and named not in PULSE_LEVELS:
         raise ValueError(
             f"trial {trial}: pulse_level = {level:g}; expected one of {', '.join(map(str, PULSE_LEVELS.values()))}"
         )

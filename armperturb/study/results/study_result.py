@@ -19,6 +19,7 @@ from armperturb.study.results.appendix_fits import Appendices
 from armperturb.study.results.cases import Case
 from armperturb.study.results.emg import PersonEmg
 from armperturb.study.results.nonlinear_fits import NonlinearFit
+from armperturb.study.results.quantities import level_name
 from armperturb.study.results.trial_measures import PersonMeasures
 
 if TYPE_CHECKING:
@@ -78,16 +79,19 @@ class StudyResult(results.Result):
 
     def to_frame(self) -> pd.DataFrame:
         """One row per person, condition and parameter: `subject`, and the columns of `results.PARAMETER_COLUMNS`."""
-        parts = [
-            case.identified.to_frame().assign(subject=case.name)
-            for condition in self.conditions
-            for case in self.of(condition.name)
-        ]
+        parts = [case.identified.to_frame().assign(subject=case.name) for case in self._identified()]
+        if not parts:
+            return pd.DataFrame(columns=["subject", *results.PARAMETER_COLUMNS])
         return pd.concat(parts, ignore_index=True)[["subject", *results.PARAMETER_COLUMNS]]
 
     def to_xarray(self) -> xr.Dataset:
-        """`Identification.to_xarray` of every case along a dimension `case`, with its `subject` and `condition`."""
-        cases = [case for condition in self.conditions for case in self.of(condition.name)]
+        """`Identification.to_xarray` of every case along a dimension `case`, with its `subject` and `condition`.
+
+        Raises:
+          ValueError: nobody was identified, as in a study of pulses alone.
+        """
+        self._require_identified()
+        cases = self._identified()
         labels = {"subject": [case.name for case in cases], "condition": [case.condition.name for case in cases]}
         joined = xr.concat([case.identified.to_xarray() for case in cases], dim="case", join="outer")
         return joined.assign_coords({name: ("case", label) for name, label in labels.items()})
@@ -100,10 +104,14 @@ class StudyResult(results.Result):
 
         Returns:
           Matplotlib axes, (output, input, 2): gain and phase of each element.
+
+        Raises:
+          ValueError: as `to_xarray`.
         """
         from armperturb.plots.bands import plot_responses
         from armperturb.study.results.mean_admittance import mean_curves
 
+        self._require_identified()
         return plot_responses(mean_curves(self), "SD over people", figure)
 
     @property
@@ -137,6 +145,19 @@ class StudyResult(results.Result):
         """Conditions in which somebody was identified, in the protocol's order."""
         return tuple(condition for condition in self.protocol.conditions if self.of(condition.name))
 
+    @cached_property
+    def pulses(self) -> tuple[tuple[str, str], ...]:
+        """Condition and `level_name` of pulses that somebody responded to, in the protocol's order, small ones first.
+
+        Recordings of other conditions and levels are not among them.
+        """
+        return tuple(
+            pulse
+            for condition in self.protocol.conditions
+            for level in sorted(condition.pulse_levels)
+            if any((pulse := (condition.name, level_name(level))) in person.pulses for person in self.people)
+        )
+
     def n_trials(self, condition: str) -> int:
         """Trials of everyone in a condition."""
         if self.recorded:
@@ -146,3 +167,14 @@ class StudyResult(results.Result):
     def of(self, condition: str) -> list[Case]:
         """The identified cases of one condition."""
         return [case for case in self.cases if case.condition.name == condition and case.identification is not None]
+
+    def _identified(self) -> list[Case]:
+        """Those of all conditions, in the protocol's order."""
+        return [case for condition in self.conditions for case in self.of(condition.name)]
+
+    def _require_identified(self) -> None:
+        if not self.conditions:
+            raise ValueError(
+                "nobody was identified in any condition, so that there are no spectra; expected one with a multisine "
+                "(what pulses tell is in people)"
+            )

@@ -18,7 +18,7 @@ from armperturb.environment import Environment
 from armperturb.planar_arm.skeletal import simulate_skeletal
 from armperturb.study.published import tables as published
 from armperturb.study.results.cases import Case
-from armperturb.study.results.quantities import PULSE_LEVELS, Cell, measure
+from armperturb.study.results.quantities import Cell, level_name, measure
 from armperturb.subject import Subject
 
 N_LOW = 2
@@ -85,11 +85,12 @@ class PersonMeasures:
     Attributes:
       name: of the person.
       conditions: that were recorded.
-      cells: of tables 2.1 and F.2 to F.6 to the person's values, SI; joints from the handle's path.
+      cells: of tables 2.1 and F.2 to F.6 to the person's values, SI, and of conditions that the thesis does not have;
+        joints from the handle's path.
       true_cells: those of tables F.2 to F.6, with the joints as the simulation has them; none of people.
       low_gain: condition to the gain of the diagonal of the admittance at the lowest frequencies [m/N], (frequency,
         axis).
-      trials: what each recorded trial of the published conditions tells.
+      trials: what each recorded trial tells, those of published conditions first.
       estimates: condition to the fits of its trials that predict them.
       left_out: why trials, or parts of them, tell nothing; one line each.
     """
@@ -105,20 +106,17 @@ class PersonMeasures:
 
     @cached_property
     def pulses(self) -> dict[tuple[str, str], PulseMeans]:
-        """Condition and level ("min", "max") to the means over the trials whose pulse tells something."""
-        means = {}
-        for condition in dict.fromkeys(trial.condition for trial in self.trials):
-            for name, level in PULSE_LEVELS.items():
-                its = [
-                    trial
-                    for trial in self.trials
-                    if trial.condition == condition
-                    and abs(trial.pulse_level) == level
-                    and math.isfinite(trial.displacement)
-                ]
-                if its:
-                    means[condition, name] = _pulse_means(its)
-        return means
+        """Condition and `level_name` to the means over the trials whose pulse tells something, small pulses first."""
+        of_condition: dict[str, dict[float, list[TrialMeasures]]] = {}
+        for trial in self.trials:
+            if math.isfinite(trial.displacement):
+                of_level = of_condition.setdefault(trial.condition, {})
+                of_level.setdefault(abs(trial.pulse_level), []).append(trial)
+        return {
+            (condition, level_name(level)): _pulse_means(its)
+            for condition, of_level in of_condition.items()
+            for level, its in sorted(of_level.items())
+        }
 
 
 def measure_person(
@@ -141,9 +139,7 @@ def measure_person(
     low_gain: dict[str, Array] = {}
     trials: list[TrialMeasures] = []
     estimates: dict[str, ThesisEstimate] = {}
-    for condition in published.conditions():
-        if condition not in conditions:
-            continue
+    for condition in sorted(conditions, key=_printed_place):
         mine, multisine = conditions[condition].recording, conditions[condition].multisine
         case = by_condition.get(condition)
         if case is not None and case.identification is not None:
@@ -182,6 +178,12 @@ def measure_person(
         estimates=estimates,
         left_out=tuple(left_out),
     )
+
+
+def _printed_place(condition: str) -> int:
+    """Place in table 2.1; conditions that it does not have come after those that it has."""
+    printed = published.conditions()
+    return printed.index(condition) if condition in printed else len(printed)
 
 
 def diverged(name: str, estimate: ThesisEstimate) -> list[str]:

@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from invented import people_of, study_of
+from invented import people_of, renamed, study_of
 from scipy import stats
 
 from armperturb.analysis.measures.statistics import adjacent_effects, effect_of_condition
-from armperturb.study.comparison.effects import admittance_effect, effects
+from armperturb.study.comparison.effects import admittance_effect, compared_pulses, effects
 
 NAMES = ("S01", "S02", "S03", "S04", "S05")
 
@@ -153,3 +153,34 @@ def test_too_few_people_are_told():
     assert found.admittance == {}
     assert all(math.isnan(p) for p in found.parameters.values())
     assert "k_s, PT: not tested, as 2 people have a value in every condition" in found.remarks
+
+
+def test_conditions_and_levels_of_ones_own_are_tested_likewise(people, tested):
+    own = effects(renamed(study_of(people)))
+    assert [row["p"] for row in own.rows] == [row["p"] for row in tested.rows]
+    assert [row["t"] for row in own.pairs] == [row["t"] for row in tested.pairs]
+    assert {row["published_p"] for row in (*own.rows, *own.pairs)} == {""}
+    assert own.agreement == (0, 0)
+    assert own.parameters == tested.parameters
+    assert own.levels == {f"own {name}": p for name, p in tested.levels.items()}
+    assert own.levels.keys() == {"own PT0", "own PT7.5"}
+    assert row(own.rows, test="dependent t", task="PT", conditions="own PT0, level 3 against 1.5")
+    for task, effect in tested.admittance.items():
+        np.testing.assert_array_equal(own.admittance[task].p, effect.p)
+
+
+def test_pulses_without_a_level_in_common_are_not_compared(people):
+    study = study_of(people)
+    other = replace(study.protocol.condition("RT7.5"), pulse_levels=(2.0,))
+    conditions = tuple(other if each.name == "RT7.5" else each for each in study.protocol.conditions)
+    apart = replace(study, protocol=replace(study.protocol, conditions=conditions))
+    stronger = tuple(
+        replace(
+            each,
+            trials=tuple(t._replace(pulse_level=2.0) if t.condition == "RT7.5" else t for t in each.trials),
+        )
+        for each in people
+    )
+    assert len(compared_pulses(study, "RT")) == 4
+    assert compared_pulses(replace(apart, people=stronger), "RT") == ()
+    assert compared_pulses(study, "RT", predicted=True) == (("RT2.5", "min"), ("RT7.5", "min"), ("RT22.5", "min"))

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from invented import FEEDBACK, FREQUENCY, LEVELS, SPRINGS, fitted, people_of, study_of
+from invented import FEEDBACK, FREQUENCY, LEVELS, SPRINGS, fitted, people_of, renamed, study_of
 from matplotlib.container import ErrorbarContainer
 from scipy import stats
 
@@ -20,7 +20,7 @@ from armperturb.plots.style import COLOURS, GREY, INK, PUBLISHED, SKELETAL, TRUE
 from armperturb.recording import make_recording
 from armperturb.recording_files import save_recording
 from armperturb.study.comparison.effects import AdmittanceEffect, Effects
-from armperturb.study.protocol import Condition, Protocol
+from armperturb.study.protocol import Protocol
 from armperturb.study.published import tables as published
 from armperturb.study.report.figures import admittance as admittance_figures
 from armperturb.study.report.figures import fit as fit_figures
@@ -32,10 +32,11 @@ from armperturb.study.report.figures import trajectories as trajectory_figures
 from armperturb.study.report.figures.axes import STARS
 from armperturb.study.report.figures.catalogue import drawings
 from armperturb.study.report.figures.people import PERSON
+from armperturb.study.report.findings import excess_rows
 from armperturb.subject import POSITION, RELAX
 
 RATE = 200.0
-NOTHING = Effects(admittance={}, parameters={}, rows=(), pairs=(), remarks=())
+NOTHING = Effects(admittance={}, parameters={}, levels={}, rows=(), pairs=(), remarks=())
 
 
 @pytest.fixture(scope="module")
@@ -521,6 +522,22 @@ def test_registry_holds_what_the_study_allows(recorded):
     assert not without_people.keys() & {"vaf", "penalty", "peak_displacement", "joint_parameters_PT"}
 
 
+def test_conditions_of_ones_own_have_the_same_figures_but_for_what_is_printed(recorded):
+    own = renamed(replace(recorded, recordings={}))
+    drawn = drawings(own, NOTHING, None)
+    assert drawn.keys() == drawings(replace(recorded, recordings={}), NOTHING, None).keys()
+    for name in ("peak_displacement", "pulse_admittance", "pulse_prediction", "vaf"):
+        labels = [label.get_text() for ax in drawn[name]().axes for label in ax.get_xticklabels()]
+        assert any(label.startswith("own PT7.5") for label in labels), name
+    excess, of_thesis = excess_rows(own), excess_rows(recorded)
+    assert [row["mean"] for row in excess] == [row["mean"] for row in of_thesis]
+    assert [(row["condition"], row["level"]) for row in excess[:3]] == [
+        ("own PT2.5", "3"),
+        ("own PT7.5", "1.5"),
+        ("own PT7.5", "3"),
+    ]
+
+
 @pytest.mark.slow(reason="draws all figures")
 def test_registry_draws_what_it_holds(recorded):
     for name, draw in drawings(recorded, NOTHING, None).items():
@@ -536,8 +553,8 @@ def test_registry_draws_one_person_in_one_task(recorded):
         trials=tuple(trial for trial in first.trials if trial.condition == "RT7.5")[:1],
         estimates={"RT7.5": first.estimates["RT7.5"]},
     )
-    odd = Protocol(conditions=(Condition(name="x", task="PT", pulse_levels=(1.0,)),))
-    lonely = replace(recorded, protocol=odd, cases=(), people=(alone,), recordings={})
+    relaxed = Protocol(conditions=(recorded.protocol.condition("RT7.5"),))
+    lonely = replace(recorded, protocol=relaxed, cases=(), people=(alone,), recordings={})
     drawn = drawings(lonely, NOTHING, None)
     assert {"peak_displacement", "pulse_admittance", "joint_parameters_RT", "muscle_parameters"} <= drawn.keys()
     for name, draw in drawn.items():
@@ -553,7 +570,7 @@ def test_registry_marks_significant_effects(recorded):
         NOTHING,
         admittance={"PT": AdmittanceEffect(FREQUENCY, p, p < 0.05)},
         parameters={("RT", "k_s"): 0.001, ("PT", "k_e"): 0.04, ("RT", "k_e*"): 0.02},
-        rows=({"test": "dependent t", "conditions": "PT0, level 2 against 1", "p": 0.001},),
+        levels={"PT0": 0.001},
     )
     drawn = drawings(recorded, effects, None)
     gain = drawn["admittance_by_amplitude_PT"]().axes[0]

@@ -617,10 +617,6 @@ def test_reports_a_protocol_of_pulses_alone(study, tmp_path):
     assert "as no condition\nhas a multisine" in text
     shown = [[row[0], *row[6:]] for row in Page(text).tables["conditions"][1:]]
     assert shown == [["only <pulses>/1", "4", "1"]]
-    lists = left_out(replace(study, protocol=pulses, cases=()), [], [])
-    assert ["only <pulses>/1, level 1"] in lists.values()
-    assert left_out(study, [], []).keys() == lists.keys()
-    assert ["only <pulses>/1, level 1"] not in left_out(study, [], []).values()
 
 
 def test_reports_conditions_of_any_name_and_pulses_or_none(study, tmp_path, monkeypatch):
@@ -635,7 +631,7 @@ def test_reports_conditions_of_any_name_and_pulses_or_none(study, tmp_path, monk
     assert possible_figures(renamed) == {
         *("perturbation", "pulse_directions", "admittance_by_task", "gain_linear_scale", "coherence"),
         *("findings", "estimates"),
-        *(f"{name}_PT" for name in ("admittance", "fit", "prediction", "parameters", "trajectories")),
+        *(f"{name}_PT" for name in ("admittance", "fit", "prediction", "parameters")),
     }
     assert "a/b &lt;odd&gt; one" in text
     assert "<odd>" not in text

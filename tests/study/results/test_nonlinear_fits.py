@@ -45,7 +45,7 @@ from tests.invented import SPRINGS, fitted, people_of, study_of
 from tests.studies import sketch
 
 PATH = np.outer(np.linspace(0.0, 1.0, 6), [0.03, 0.04])
-NO_EFFECTS = Effects(admittance={}, parameters={}, rows=(), pairs=(), remarks=())
+NO_EFFECTS = Effects(admittance={}, parameters={}, levels={}, rows=(), pairs=(), remarks=())
 PT_VALUES = {"m_h": 2.0, "k.shoulder": 20.0, "level.PT22.5": 1.5}
 RT_VALUES = {"m_h": 2.0, "k.shoulder": 2.0, "elastic_limit_deg.elbow": 1.0}
 

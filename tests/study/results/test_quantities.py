@@ -1,6 +1,7 @@
 """Cells of the published tables from recordings whose values are known, and from simulated people."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -130,12 +131,33 @@ def test_windows_are_those_of_the_task():
     assert position[Cell("F.5", "PT0", "peak_rotation_min_s")] == pytest.approx(at_end, rel=1e-3)
 
 
-def test_what_is_not_the_thesiss_fills_no_cell():
-    other = rotating("PT5", swinging(0.01))
-    odd = rotating("PT0", bump([0.1, 0.1]), level=1.5)
-    cells, left_out = measure(recorded(other, odd))
+def test_another_level_in_a_condition_of_the_thesis_fills_no_cell():
+    cells, left_out = measure(recorded(rotating("PT0", bump([0.1, 0.1]), level=1.5)))
     assert cells == {}
-    assert left_out == ("trial 1: pulse_level = 1.5; expected one of 1.0, 2.0",)
+    assert left_out == ("trial 0: pulse_level = 1.5; expected one of 1.0, 2.0",)
+
+
+def test_conditions_of_ones_own_fill_cells_of_their_own():
+    load = np.where(TIME[:, None] < ONSET, swinging(1.0), 0.0)
+
+    def trials(name, levels):
+        turned = swinging(0.01) + bump([0.1, 0.1])
+        kinds = [(level, direction) for level in levels for direction in (20.0, 200.0)]
+        return [rotating(name, turned, force=load, level=level, direction=direction) for level, direction in kinds]
+
+    thesis = measure(recorded(*trials("PT7.5", (1.0, 2.0)))).cells
+    own, left_out = measure(recorded(*trials("PT5 mine", (1.5, 3.0)), rotating("PTrest", bump([0.2, 0.2]), level=3.0)))
+    assert left_out == ()
+    names = {"min": "1.5", "max": "3"}
+    for cell, value in thesis.items():
+        quantity = re.sub("(?<=_)(min|max)", lambda match: names[match[0]], cell.quantity)
+        assert own.pop(Cell(cell.table, "PT5 mine", quantity)) == value
+    # Without a multisine there is no more than the one pulse.
+    assert {(cell.condition, cell.quantity) for cell in own} == {
+        ("PTrest", "peak_displacement_3"),
+        *(("PTrest", f"peak_{what}_3_{joint}") for what in ("velocity", "rotation") for joint in "se"),
+        *(("PTrest", f"peak_rotation_right_{joint}") for joint in "se"),
+    }
 
 
 def test_a_direction_needs_all_levels():

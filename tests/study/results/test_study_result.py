@@ -12,8 +12,10 @@ from functools import partial
 
 import numpy as np
 import pytest
+from invented import people_of, study_of
 
 from armperturb import archive
+from armperturb.analysis.results import PARAMETER_COLUMNS
 from armperturb.cli import main
 from armperturb.recording_files import load_recording, save_recording
 from armperturb.study.comparison.score import score, share
@@ -335,3 +337,14 @@ def test_a_person_in_two_files_is_refused_by_name(study, tmp_path, monkeypatch):
     (tmp_path / "B.nc").rename(tmp_path / "recordings" / "B.nc")
     with pytest.raises(ValueError, match=r"A.nc and B.nc hold the same trials; expected one recording per person"):
         analysed(tmp_path, replace(FEW_FITS, structures=()))
+
+
+def test_a_study_of_pulses_alone_has_an_empty_table_and_no_spectra():
+    everybody = study_of(people_of())
+    pulses = replace(everybody, cases=())
+    assert list(pulses.to_frame().columns) == ["subject", *PARAMETER_COLUMNS]
+    assert len(pulses.to_frame()) == 0
+    assert len(pulses.pulses) == 10
+    for use in (pulses.to_xarray, pulses.plot):
+        with pytest.raises(ValueError, match="nobody was identified in any condition"):
+            use()

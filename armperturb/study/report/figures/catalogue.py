@@ -24,13 +24,14 @@ from armperturb.study.report.figures import pulses as pulse_figures
 from armperturb.study.report.figures import rig as rig_figures
 from armperturb.study.report.figures import trajectories as trajectory_figures
 from armperturb.study.report.figures.axes import Marks
-from armperturb.study.report.figures.groups import CONDITIONS
 from armperturb.study.report.figures.trajectories import around_pulse, first_pulses
+from armperturb.study.report.findings import excesses
 from armperturb.study.report.nonlinear_tables import left_out_pulses, tasks_fitted, true_parameters
 from armperturb.study.results.appendix_fits import Appendices
 from armperturb.study.results.mean_admittance import by_task, main_conditions
-from armperturb.study.results.nonlinear_fits import PATHS
+from armperturb.study.results.nonlinear_fits import drawn_pulse
 from armperturb.study.results.study_result import StudyResult
+from armperturb.subject import TASKS
 
 Drawings = dict[str, "partial[Figure]"]
 
@@ -95,22 +96,22 @@ def _of_cases(study: StudyResult, effects: Effects) -> Drawings:
 
 
 def _of_people(study: StudyResult, effects: Effects) -> Drawings:
-    """Of what everybody's trials tell in the thesis's conditions."""
+    """Of what everybody's trials tell."""
     drawn: Drawings = {}
-    trials = [trial for person in study.people for trial in person.trials]
+    names = {condition.name for condition in study.protocol.conditions}
+    trials = [trial for person in study.people for trial in person.trials if trial.condition in names]
     if np.isfinite([trial.vaf_linear for trial in trials]).any():
         drawn["vaf"] = partial(fit_figures.vaf, study)
-    p = {task: {name: p for (of, name), p in effects.parameters.items() if of == task} for task in CONDITIONS}
-    for task in CONDITIONS:
+    p = {task: {name: p for (of, name), p in effects.parameters.items() if of == task} for task in TASKS}
+    for task in TASKS:
         if parameter_figures.estimated(study, task):
             drawn[f"joint_parameters_{task}"] = partial(parameter_figures.joint_parameters, study, task, p[task])
             drawn["penalty"] = partial(fit_figures.penalty, study)
             drawn["muscle_parameters"] = partial(parameter_figures.muscle_parameters, study, p)
-    if np.isfinite([trial.displacement for trial in trials]).any():
-        levels = {row["conditions"].split(",")[0]: row["p"] for row in effects.rows if row["test"] == "dependent t"}
+    if study.pulses:
         drawn["peak_displacement"] = partial(pulse_figures.peak_displacement, study)
-        drawn["pulse_admittance"] = partial(pulse_figures.pulse_admittance, study, levels)
-    if np.isfinite([trial.predicted_linear for trial in trials]).any():
+        drawn["pulse_admittance"] = partial(pulse_figures.pulse_admittance, study, effects.levels)
+    if excesses(study):
         drawn["pulse_prediction"] = partial(pulse_figures.pulse_prediction, study)
     return drawn
 
@@ -137,11 +138,13 @@ def _of_pulses(study: StudyResult) -> Drawings:
     if person is not None and stills and "joint_angle" in recording:
         drawn["stills"] = partial(rig_figures.stills, person, study.environment, list(stills.values()))
     measures = next((person for person in study.people if person.name == name), None)
-    for task, (condition_name, level) in PATHS.items():
-        trials = of_condition(recording, condition_name)
-        if first_pulses(trials, level):
-            estimate = measures.estimates.get(condition_name) if measures else None
-            drawn[f"trajectories_{task}"] = partial(trajectory_figures.trajectories, trials, estimate, level)
+    for task in TASKS:
+        if (pulse := drawn_pulse(study.protocol.conditions, task)) is None:
+            continue
+        trials = of_condition(recording, pulse[0])
+        if first_pulses(trials, pulse[1]):
+            estimate = measures.estimates.get(pulse[0]) if measures else None
+            drawn[f"trajectories_{task}"] = partial(trajectory_figures.trajectories, trials, estimate, pulse[1])
     return drawn
 
 

@@ -1,7 +1,5 @@
 """The summary figure of the report: every person in every condition, with means over people and 95 % intervals."""
 
-import math
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -9,9 +7,8 @@ from matplotlib.ticker import FixedLocator
 
 from armperturb.plots.panels import label_frequency
 from armperturb.plots.style import COLOURS, GREY, in_style, new_figure
-from armperturb.study.comparison.headlines import PREDICTED
 from armperturb.study.report.figures.people import draw_people
-from armperturb.study.report.findings import geometric_mean, low_gain, person_excess
+from armperturb.study.report.findings import excesses, geometric_mean, low_gain
 from armperturb.study.results.mean_admittance import by_task, main_conditions
 from armperturb.study.results.study_result import StudyResult
 
@@ -23,7 +20,9 @@ def findings(study: StudyResult) -> Figure:
     Args:
       study: in which somebody was identified.
     """
-    excess = _excess(study)
+    excess: dict[str, dict[str, dict[str, float]]] = {}
+    for condition, level, values in excesses(study):
+        excess.setdefault(condition.task, {})[f"{condition.name}\n{level}"] = values
     figure = new_figure(5.3, width=6.2)
     if excess:
         grid = figure.subplot_mosaic(
@@ -50,18 +49,6 @@ def findings(study: StudyResult) -> Figure:
     _draw_course(grid["course"], study)
     grid["course"].set_title("b  Along x, over frequency", loc="left")
     return figure
-
-
-def _excess(study: StudyResult) -> dict[str, dict[str, dict[str, float]]]:
-    """Task and pulse to each person's recorded over predicted peak displacement."""
-    groups: dict[str, dict[str, dict[str, float]]] = {}
-    for condition, level in PREDICTED:
-        values = {person.name: person_excess(person, condition, level) for person in study.people}
-        known = {name: value for name, value in values.items() if math.isfinite(value) and value > 0.0}
-        if known:
-            label = f"{condition}\n{level}"
-            groups.setdefault(condition[:2], {})[label] = known
-    return groups
 
 
 def _draw_course(ax: Axes, study: StudyResult) -> None:

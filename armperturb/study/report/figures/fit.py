@@ -16,9 +16,10 @@ from armperturb.plots.style import COLOURS, FITTED, INK, PUBLISHED, RECORDED, in
 from armperturb.study.published import tables as published
 from armperturb.study.report.figures import groups
 from armperturb.study.report.figures.axes import plot_truth
-from armperturb.study.report.figures.groups import CONDITIONS
 from armperturb.study.results.cases import Case
+from armperturb.study.results.mean_admittance import perturbed_conditions
 from armperturb.study.results.study_result import StudyResult
+from armperturb.subject import TASKS
 
 VAF_TABLES = {"PT7.5": ("E.5", "3b", "vartheta_i5"), "PT": ("C.12", "3", ""), "RT": ("C.22", "1", "")}
 """Condition, or task of the others, to table, model and start of the printed VAF; PT7.5 alone has a fit of model 3b."""
@@ -86,14 +87,15 @@ def vaf(study: StudyResult) -> Figure:
     As in the thesis's tables, trials count whose VAF is positive along both axes. The published values are those of the
     linear model: table E.5 in PT7.5, model 3 of table C.12 in the other position tasks, and table C.22 in RT.
     """
-    tasks = [task for task, conditions in CONDITIONS.items() if any(_vafs(study, c, "linear") for c in conditions)]
+    of_task = {task: [condition.name for condition in perturbed_conditions(study, task)] for task in TASKS}
+    tasks = [task for task, conditions in of_task.items() if any(_vafs(study, c, "linear") for c in conditions)]
     looks = list(zip(groups.MODEL_LOOKS.items(), groups.MARKERS, strict=False))
     figure = new_figure(4.8)
     panels = figure.subplots(2, len(tasks), sharey=True, squeeze=False)
     drawn = []
     for column, task in zip(panels.T, tasks, strict=True):
         for axis, ax in enumerate(column):
-            of_task = {
+            drawn_here = {
                 condition: [
                     groups.Series(
                         {name: float(mean[axis]) for name, mean in _vafs(study, condition, model).items()},
@@ -103,11 +105,11 @@ def vaf(study: StudyResult) -> Figure:
                     )
                     for (model, look), marker in looks
                 ]
-                for condition in CONDITIONS[task]
+                for condition in of_task[task]
                 if _vafs(study, condition, "linear")
             }
-            drawn.append(of_task)
-            groups.draw_groups(ax, of_task)
+            drawn.append(drawn_here)
+            groups.draw_groups(ax, drawn_here)
             ax.set(ylim=(0, 100), ylabel=f"VAF along {AXES[axis]} [%]" if task == tasks[0] else "")
     printed = groups.printed_handles(drawn, label="published mean ± SD, linear model")
     legend(figure, *groups.model_handles(), groups.mean_handle(), *printed)
@@ -126,6 +128,8 @@ def _vafs(study: StudyResult, condition: str, model: str) -> dict[str, Array]:
 
 
 def _printed_vaf(condition: str, axis: int) -> published.MeanSD:
+    if condition not in published.conditions():
+        return groups.NOTHING_PRINTED
     table, *fit = VAF_TABLES.get(condition, VAF_TABLES[condition[:2]])
     wanted = (table, condition, *fit, f"VAF_{AXES[axis]}")
     return next(entry.value for entry in published.fit_entries() if entry[:5] == wanted)
@@ -145,11 +149,12 @@ def penalty(study: StudyResult) -> Figure:
     curve.axvline(0.0, color=INK, linewidth=0.8)
     curve.text(0.02, 3.0, "unstable")
     for ax in places:
-        for row, (task, conditions) in enumerate(CONDITIONS.items()):
+        for row, task in enumerate(TASKS):
+            conditions = [condition.name for condition in perturbed_conditions(study, task)]
             estimates = [person.estimates[c] for person in study.people for c in conditions if c in person.estimates]
             poles = [fit.largest_real_pole for estimate in estimates for fit in estimate.fits]
             ax.plot(poles, np.full(len(poles), -row), "|", color=COLOURS[task], markersize=9, alpha=0.6, label=task)
-        ax.set_yticks((0, -1), CONDITIONS)
+        ax.set_yticks((0, -1), TASKS)
         ax.set(ylim=(-1.6, 0.6), xlabel="largest real part of a pole of arm and manipulator [1/s]", ylabel="fits")
         ax.grid(visible=False)
     return figure

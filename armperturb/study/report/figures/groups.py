@@ -13,13 +13,9 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from armperturb.plots.panels import legend
 from armperturb.plots.style import FITTED, GREY, PUBLISHED, SKELETAL, new_figure
-from armperturb.study.comparison.headlines import PULSED
 from armperturb.study.published.tables import MeanSD, headline
 from armperturb.study.report.figures.people import MEAN, PERSON
 from armperturb.study.report.findings import arithmetic_mean, geometric_mean
-
-CONDITIONS = {task: tuple(dict.fromkeys(condition for condition, _ in pulses)) for task, pulses in PULSED.items()}
-"""Task to the thesis's conditions, the smallest multisine first."""
 
 MODEL_LOOKS: dict[str, dict[str, Any]] = {"linear": FITTED, "skeletal": SKELETAL}
 """Model to its look in figures: the linear arm, and the nonlinear skeletal one."""

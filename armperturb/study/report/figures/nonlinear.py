@@ -16,7 +16,7 @@ from armperturb.study.report import nonlinear_tables as tables
 from armperturb.study.report.figures import groups
 from armperturb.study.report.figures.groups import MODEL_LOOKS
 from armperturb.study.report.words import WORDS
-from armperturb.study.results.nonlinear_fits import PATHS, LeftOutPulse
+from armperturb.study.results.nonlinear_fits import LeftOutPulse, drawn_pulse
 from armperturb.study.results.study_result import StudyResult
 
 LOOKS: dict[str, dict[str, Any]] = {
@@ -108,17 +108,16 @@ def parameters(study: StudyResult, task: str) -> Figure:
 
 
 def drawn_pulses(study: StudyResult, task: str) -> dict[float, dict[str, LeftOutPulse]]:
-    """Direction to whether pulses were fitted to the first left-out pulse of `PATHS` to the first person with one.
+    """Direction to whether pulses were fitted to the first left-out `drawn_pulse` to the first person with one.
 
     Both are of one trial, the first of its direction whose linear fit predicts it, if any does.
     """
+    wanted = drawn_pulse(study.protocol.conditions, task)
     for person in study.names:
         shown: dict[float, dict[str, LeftOutPulse]] = {}
         for model, pulses in ((tables.SEES_NONE, False), (tables.SEES_OTHERS, True)):
             for fit in tables.fitted(study, task, pulses=pulses):
-                left_out = [
-                    pulse for pulse in fit.pulses if (pulse.condition, pulse.level) == PATHS[task] and pulse.paths
-                ]
+                left_out = [pulse for pulse in fit.pulses if (pulse.condition, pulse.level) == wanted and pulse.paths]
                 for pulse in sorted(left_out, key=lambda pulse: "linear" not in pulse.paths):
                     if fit.name == person:
                         shown.setdefault(pulse.direction_deg, {}).setdefault(model, pulse)
@@ -141,7 +140,9 @@ def trajectories(study: StudyResult, task: str) -> Figure:
     over_time = [figure.add_subplot(grid[row, 1]) for row in range(2)]
     used: list[str] = []
     looks = {"recorded": RECORDED, **LOOKS}
-    for of_fit in drawn_pulses(study, task).values():
+    pulses = drawn_pulses(study, task)
+    condition = next(pulse.condition for of_fit in pulses.values() for pulse in of_fit.values())
+    for of_fit in pulses.values():
         first = next(iter(of_fit.values()))
         paths = {name: path for name, path in first.paths.items() if name in ("recorded", *MODEL_LOOKS)}
         paths |= {model: pulse.paths["nonlinear"] for model, pulse in of_fit.items() if "nonlinear" in pulse.paths}
@@ -155,7 +156,7 @@ def trajectories(study: StudyResult, task: str) -> Figure:
                 ax.plot(time, along, **look)
             used.append(name)
     above.set_aspect("equal", adjustable="datalim")
-    above.set(xlabel="x, to the right [cm]", ylabel="y, forward [cm]", title=f"{PATHS[task][0]}, from above")
+    above.set(xlabel="x, to the right [cm]", ylabel="y, forward [cm]", title=f"{condition}, from above")
     for ax, axis in zip(over_time, AXES, strict=True):
         ax.set_ylabel(f"{axis} [cm]")
     over_time[0].tick_params(labelbottom=False)

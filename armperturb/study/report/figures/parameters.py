@@ -21,7 +21,6 @@ from armperturb.study.published.tables import MeanSD
 from armperturb.study.report.figures.axes import looks
 from armperturb.study.report.figures.groups import (
     BESIDE_MEAN,
-    CONDITIONS,
     Groups,
     Series,
     draw_groups,
@@ -31,9 +30,10 @@ from armperturb.study.report.figures.groups import (
     stars,
 )
 from armperturb.study.report.tables import groups_of, parameter_rows, published_or_nan
-from armperturb.study.results.mean_admittance import by_task
+from armperturb.study.results.mean_admittance import by_task, perturbed_conditions
 from armperturb.study.results.study_result import StudyResult
 from armperturb.study.results.trial_measures import muscle_parameter, stable_mean
+from armperturb.subject import TASKS
 
 QUANTITIES = {"b": "damping", "k": "stiffness", "kv": "velocity\nfeedback", "kp": "position\nfeedback"}
 """What is drawn of a joint, and what it is called."""
@@ -146,7 +146,7 @@ def muscle_parameters(study: StudyResult, p: Mapping[str, Mapping[str, float]] |
       study: with estimates in a task, see `estimated`.
       p: task to parameter, with a star for one-joint muscles, to the p of an effect of the amplitude on it.
     """
-    tasks = {task: estimates for task in CONDITIONS if (estimates := estimated(study, task))}
+    tasks = {task: estimates for task in TASKS if (estimates := estimated(study, task))}
     rows = {task: _quantities(estimates) for task, estimates in tasks.items()}
     n_rows = max(map(len, rows.values()))
     figure = new_figure(1.9 * n_rows + 0.9)
@@ -166,8 +166,8 @@ def muscle_parameters(study: StudyResult, p: Mapping[str, Mapping[str, float]] |
 def estimated(study: StudyResult, task: str) -> Estimates:
     """The thesis's estimates in each condition of a task in which there are any, one per person."""
     by_condition = {
-        condition: [person.estimates[condition] for person in study.people if condition in person.estimates]
-        for condition in CONDITIONS[task]
+        condition.name: [p.estimates[condition.name] for p in study.people if condition.name in p.estimates]
+        for condition in perturbed_conditions(study, task)
     }
     return {condition: estimates for condition, estimates in by_condition.items() if estimates}
 

@@ -14,19 +14,22 @@ from armperturb.plots.style import COLOURS, PUBLISHED, in_style
 from armperturb.study.published import tables as published
 from armperturb.study.published.tables import MeanSD
 from armperturb.study.report.figures import groups as groups_of_people
-from armperturb.study.report.figures.groups import CONDITIONS, MARKERS, MODEL_LOOKS, NOTHING_PRINTED, Series
+from armperturb.study.report.figures.groups import MARKERS, MODEL_LOOKS, NOTHING_PRINTED, Series
 from armperturb.study.report.tables import published_or_nan
-from armperturb.study.results.quantities import PULSE_LEVELS
+from armperturb.study.results.mean_admittance import perturbed_conditions
+from armperturb.study.results.quantities import PULSE_LEVELS, level_name
 from armperturb.study.results.study_result import StudyResult
 from armperturb.study.results.trial_measures import TrialMeasures
+from armperturb.subject import TASKS
 
-Levels = dict[str, dict[str, dict[str, float]]]
-"""Condition and level ("min", "max") to person to value."""
+Levels = dict[str, dict[float, dict[str, float]]]
+"""Condition and level to person to value."""
 
-NAMES = {"min": "minimum level", "max": "maximum level"}
+DARKER = 0.45
+"""Share of its brightness that a colour loses from a level of pulses to the next whole one [-]."""
 
-LEVEL_LOOKS = {"min": (0.0, "o"), "max": (-0.45, "^")}
-"""Level to how much its colour is darker than the task's, and its marker."""
+LEVEL_MARKERS = {1.0: "o", 2.0: "^"}
+"""Of the thesis's levels; smaller ones point down, those between are squares, larger ones stars."""
 
 
 @in_style()
@@ -41,25 +44,25 @@ def peak_displacement(study: StudyResult) -> Figure:
 def pulse_admittance(study: StudyResult, p: Mapping[str, float] | None = None) -> Figure:
     """Peak displacement over peak hand reaction force: people's means over trials, and their means (thesis fig. 3.16).
 
-    Above conditions with both levels stands the ratio of their means over the people who have both, and what the thesis
-    has.
+    Above conditions with several levels stands the ratio of the means of the largest and the smallest over the people
+    who have both, and what the thesis has.
 
     Args:
       study: with trials that have pulses.
-      p: condition with both levels to the p of the level's effect.
+      p: condition with several levels to the p of the level's effect.
     """
     by_task = pulsed_people(study, lambda trial: trial.admittance)
     figure, panels = _draw_levels(by_task, "pulse admittance [mm/N]", 1000.0, shared=False)
     for task, (ax, tops) in panels.items():
-        if any(len(levels) == len(PULSE_LEVELS) for levels in by_task[task].values()):
+        if any(len(levels) > 1 for levels in by_task[task].values()):
             ax.set_ylim(top=1.2 * max(tops.values()))
             ax.set_xlim(left=-0.75)  # room for the words above the first
         for group, (condition, levels) in enumerate(by_task[task].items()):
-            if len(levels) < len(PULSE_LEVELS) or not (both := levels["min"].keys() & levels["max"].keys()):
+            ends = (levels[min(levels)], levels[max(levels)])
+            if len(levels) < 2 or not (both := ends[0].keys() & ends[1].keys()):
                 continue
-            smallest, largest = (np.mean([levels[level][name] for name in both]) for level in PULSE_LEVELS)
+            smallest, largest = (np.mean([values[name] for name in both]) for values in ends)
             stars = groups_of_people.stars((p or {}).get(condition, 1.0))
-            printed = published.headline(f"pulse_admittance_ratio_max_min_{condition.lower()}")
             place: dict[str, Any] = {
                 "xy": (group, tops[condition]),
                 "textcoords": "offset points",
@@ -67,7 +70,9 @@ def pulse_admittance(study: StudyResult, p: Mapping[str, float] | None = None) -
                 "va": "bottom",
             }
             ax.annotate(f"× {largest / smallest:.2f} {stars}".strip(), xytext=(0, 15), **place)
-            ax.annotate(f"× {printed:g} published", xytext=(0, 4), **place, color=PUBLISHED["color"], fontsize=8)
+            if set(published.pulse_levels(condition)) == set(PULSE_LEVELS):
+                printed = published.headline(f"pulse_admittance_ratio_max_min_{condition.lower()}")
+                ax.annotate(f"× {printed:g} published", xytext=(0, 4), **place, color=PUBLISHED["color"], fontsize=8)
     return figure
 
 
@@ -78,7 +83,7 @@ def pulse_prediction(study: StudyResult) -> Figure:
     by_model = {model: pulsed_people(study, partial(predicted_share, model=model)) for model in MODEL_LOOKS}
     groups = {
         task: {
-            f"{condition}\n{level}": [
+            f"{condition}\n{level_name(level)}": [
                 Series(
                     by_model[model].get(task, {}).get(condition, {}).get(level, {}), MODEL_LOOKS[model]["color"], marker
                 )
@@ -110,17 +115,17 @@ def pulsed_people(study: StudyResult, quantity: Callable[[TrialMeasures], float]
       quantity: of a trial.
     """
     by_task: dict[str, Levels] = {}
-    for task, conditions in CONDITIONS.items():
-        for condition in conditions:
-            for name, level in PULSE_LEVELS.items():
+    for task in TASKS:
+        for condition in perturbed_conditions(study, task):
+            for level in sorted(condition.pulse_levels):
                 values = {}
                 for person in study.people:
-                    its = [trial for trial in person.trials if trial.condition == condition]
+                    its = [trial for trial in person.trials if trial.condition == condition.name]
                     numbers = [quantity(trial) for trial in its if abs(trial.pulse_level) == level]
                     if known := [value for value in numbers if np.isfinite(value)]:
                         values[person.name] = float(np.mean(known))
                 if values:
-                    by_task.setdefault(task, {}).setdefault(condition, {})[name] = values
+                    by_task.setdefault(task, {}).setdefault(condition.name, {})[level] = values
     return by_task
 
 
@@ -134,8 +139,8 @@ def _draw_levels(
 ) -> tuple[Figure, dict[str, tuple[Axes, dict[str, float]]]]:
     """People at both pulse levels in each condition, a panel per task; and the panels with where each group ends."""
 
-    def series(task: str, condition: str, level: str, values: Mapping[str, float]) -> Series:
-        printed = published_or_nan(source, condition, level) if source else NOTHING_PRINTED
+    def series(task: str, condition: str, level: float, values: Mapping[str, float]) -> Series:
+        printed = published_or_nan(source, condition, level_name(level)) if source else NOTHING_PRINTED
         return Series(values, *_look(task, level), printed)
 
     groups = {
@@ -148,10 +153,9 @@ def _draw_levels(
     figure, panels = groups_of_people.task_panels(3.5, groups, shared=shared)
     tops = {task: (ax, groups_of_people.draw_groups(ax, groups[task], scale)) for task, ax in panels.items()}
     handles = [
-        groups_of_people.people_handle(f"people, {task}, {name}", *_look(task, level))
+        groups_of_people.people_handle(f"people, {task}, {_level_words(level)}", *_look(task, level))
         for task, conditions in by_task.items()
-        for level, name in NAMES.items()
-        if any(level in levels for levels in conditions.values())
+        for level in sorted({level for levels in conditions.values() for level in levels})
     ]
     handles += [groups_of_people.mean_handle(), *groups_of_people.printed_handles(groups.values())]
     legend(figure, *handles, n_columns=3)
@@ -162,8 +166,13 @@ def _draw_levels(
     return figure, tops
 
 
-def _look(task: str, level: str) -> tuple[str, str]:
+def _level_words(level: float) -> str:
+    """For a legend: the thesis's name of its levels."""
+    return {"min": "minimum level", "max": "maximum level"}.get(level_name(level), f"level {level:g}")
+
+
+def _look(task: str, level: float) -> tuple[str, str]:
     """Colour and marker; darker for the larger pulse."""
-    share, marker = LEVEL_LOOKS[level]
-    red, green, blue = to_rgb(COLOURS[task])
-    return to_hex(((1.0 + share) * red, (1.0 + share) * green, (1.0 + share) * blue)), marker
+    brightness = max(0.0, 1.0 - DARKER * (level - 1.0))
+    red, green, blue = (min(1.0, brightness * part) for part in to_rgb(COLOURS[task]))
+    return to_hex((red, green, blue)), LEVEL_MARKERS.get(level, "v" if level < 1.0 else "s" if level < 2.0 else "*")

@@ -23,7 +23,7 @@ from armperturb.study.published import tables as published
 from armperturb.study.report.figures.groups import MODEL_LOOKS, PRINTED, printed_handle
 from armperturb.study.report.tables import published_or_nan
 from armperturb.study.results.nonlinear_fits import predicted_paths
-from armperturb.study.results.quantities import PULSE_LEVELS
+from armperturb.study.results.quantities import level_name
 
 DOTS = {"PT": 0.05, "RT": 0.1}
 """Task to the time between dots on a path [s] (figures 3.17, 3.18)."""
@@ -49,9 +49,6 @@ JOINT_LOOKS: dict[str, dict[str, Any]] = {
 
 LEAD, LAG = 0.05, 0.5
 """From when to when around the onset of a pulse rotations are drawn [s]."""
-
-NAMES = {level: name for name, level in PULSE_LEVELS.items()}
-"""Pulse level to its name in the published tables."""
 
 
 def first_pulses(
@@ -179,7 +176,7 @@ def joint_rotations(recording: xr.Dataset) -> Figure:
     """
     condition = str(recording["condition"].values[0])
     trials = first_pulses(recording)
-    level = NAMES.get(float(np.abs(recording["pulse_level"].values).max()), "")
+    level = level_name(float(np.abs(recording["pulse_level"].values).max()))
     figure = new_figure(3.4)
     panels = figure.subplots(1, len(trials), sharey=True, squeeze=False)[0]
     any_printed = False
