@@ -42,6 +42,7 @@ from .envs.learning.agent_recording import record_agent as record_agent
 from .envs.learning.policy import trained_policy as trained_policy
 from .envs.learning.registration import load_dm_env as load_dm_env
 from .envs.render.video import write_video as write_video
+from .joined_recordings import stack_trials as stack_trials
 from .joint_person import JointPerson as JointPerson
 from .joint_person import Servo as Servo
 from .models.rig import build_model as build_model
@@ -54,7 +55,6 @@ from .perturbations import load_perturbation as load_perturbation
 from .perturbations import save_perturbation as save_perturbation
 from .plots import plot as plot
 from .recording import make_recording as make_recording
-from .recording import stack_trials as stack_trials
 from .recording_files import load_recording as load_recording
 from .recording_files import save_recording as save_recording
 from .study.comparison.likeness import compare as compare

@@ -32,7 +32,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from armperturb.files import packaged_table
-from armperturb.validation import as_list, require_name, require_one_of, require_type
+from armperturb.validation import require_name, require_one_of, require_type
 
 _TABLES = packaged_table(__package__, "recording.toml")
 
@@ -208,91 +208,6 @@ def make_recording(
     return dataset
 
 
-class Joined(NamedTuple):
-    """Trials of several recordings in one, and what only some of these have, which is lost."""
-
-    recording: xr.Dataset
-    lost: tuple[str, ...]
-
-
-def join_recordings(
-    recordings: Sequence[xr.Dataset], source: str = "recordings", optional: Iterable[str] = ()
-) -> Joined:
-    """The trials of several recordings in one.
-
-    Args:
-      recordings: at least one; of the same rate and duration.
-      source: where they come from, for the message.
-      optional: signals that are kept beside `REQUIRED_SIGNALS` where all recordings have them, sampled alike.
-
-    Raises:
-      ValueError: rates, durations, axes, units or servos differ.
-    """
-    _require_alike(recordings, source)
-    signals = [*required_signals(recordings[0].attrs.get("servo"))]
-    for name in optional:
-        clock, parts = SIGNALS[name][0][0], [each[name] for each in recordings if name in each.data_vars]
-        alike = [part.attrs == parts[0].attrs and part[clock].equals(parts[0][clock]) for part in parts]
-        signals += [name] if sum(alike) == len(recordings) else []
-    partial = [name for name in OPTIONAL_COORDINATES if not all(name in recording.coords for recording in recordings)]
-    joined = _stacked([recording[signals].drop_vars(partial, errors="ignore") for recording in recordings])
-    there = [[*recording.variables, *recording.attrs] for recording in recordings]
-    left = {*joined.variables, *joined.attrs, *LABELS, "muscle", *CLOCKS, *CLOCKS.values()}
-    return Joined(joined, tuple(dict.fromkeys(str(name) for names in there for name in names if name not in left)))
-
-
-def _require_alike(recordings: Sequence[xr.Dataset], source: str) -> None:
-    """Refuse recordings of several kinds, rates or durations."""
-    kinds = {(f"{each.attrs.get('servo')}", each.sizes["axis"], each["force"].attrs["units"]) for each in recordings}
-    if len(kinds) > 1:
-        several = " and ".join(sorted(f"servo {servo}, axes {n}, force in {unit}" for servo, n, unit in kinds))
-        raise ValueError(f"{source}: trials of {several}; expected one kind of recording")
-    clocks = {(float(recording.attrs["rate"]), recording.sizes["time"]) for recording in recordings}
-    if len(clocks) > 1:
-        trials = " and ".join(f"{n / rate:g} s at {rate:g} Hz" for rate, n in sorted(clocks))
-        raise ValueError(f"{source}: trials of {trials}; expected one rate and duration")
-
-
-def named(recordings: xr.Dataset | Sequence[xr.Dataset]) -> str:
-    """Who, in which conditions, and how many trials, for people to read."""
-    parts = [recordings] if isinstance(recordings, xr.Dataset) else recordings
-    who, where = (
-        ", ".join(dict.fromkeys(str(label) for part in parts for label in part[name].values))
-        for name in ("subject", "condition")
-    )
-    n = sum(part.sizes["trial"] for part in parts)
-    return f"{who}, {where}, {n} trial{'' if n == 1 else 's'}"
-
-
-def stack_trials(recordings: Sequence[xr.Dataset]) -> xr.Dataset:
-    """The trials of recordings with the same signals and times in one; attributes that differ are lost.
-
-    Raises:
-      TypeError: recordings are something else.
-      ValueError: there is none, one is refused, or they differ in their kind, rate, duration or signals.
-    """
-    several = as_list("recordings", recordings, xr.Dataset, EXPECTED)
-    for recording in several:
-        check_recording(recording)
-    _require_alike(several, "recordings")
-    signals = {", ".join(f"{name} {values.shape[1:]}" for name, values in sorted(each.items())) for each in several}
-    if len(signals) > 1:
-        raise ValueError(f"recordings: signals {' and '.join(sorted(signals))}; expected the same signals in all")
-    return _stacked(several)
-
-
-def _stacked(recordings: Sequence[xr.Dataset]) -> xr.Dataset:
-    return xr.concat(
-        recordings,
-        dim="trial",
-        data_vars="minimal",
-        coords="minimal",
-        compat="equals",
-        join="exact",
-        combine_attrs="drop_conflicts",
-    )
-
-
 def _describe(units: str, description: str) -> dict[str, Any]:
     return {"units": units, "long_name": description} if units else {"long_name": description}
 
@@ -372,6 +287,17 @@ def check_recording(recording: xr.Dataset, signals: Iterable[str] | None = None,
     _check_clock(recording, "time", source)
     if "emg" in recording.data_vars:
         _check_clock(recording, "emg_time", source)
+
+
+def named(recordings: xr.Dataset | Sequence[xr.Dataset]) -> str:
+    """Who, in which conditions, and how many trials, for people to read."""
+    parts = [recordings] if isinstance(recordings, xr.Dataset) else recordings
+    who, where = (
+        ", ".join(dict.fromkeys(str(label) for part in parts for label in part[name].values))
+        for name in ("subject", "condition")
+    )
+    n = sum(part.sizes["trial"] for part in parts)
+    return f"{who}, {where}, {n} trial{'' if n == 1 else 's'}"
 
 
 def muscle_actions(recording: xr.Dataset) -> dict[str, Action]:

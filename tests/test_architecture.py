@@ -13,7 +13,7 @@ import armperturb
 ROOT = Path(armperturb.__file__).parent
 
 BASE = {"arrays", "memory", "validation", "extras", "seeds", "files", "foreign", "recording", "recording_files"}
-BASE |= {"jit", "muscle_law", "person_files", "subject", "environment", "joint_person"}
+BASE |= {"joined_recordings", "jit", "muscle_law", "person_files", "subject", "environment", "joint_person"}
 ARM = BASE | {
     "analysis.cuts", "analysis.defaults", "analysis.plateaus", "analysis.arm", "analysis.excited_bands",
     "analysis.imbalance", "analysis.force_balance", "analysis.trials", "analysis.per_trials", "analysis.manipulator",
@@ -41,6 +41,7 @@ ARROWS = {
     "anthropometry": {"files", "validation"},
     "foreign": {"extras", "files"},
     "recording": {"files", "validation"},
+    "joined_recordings": {"recording", "validation"},
     "recording_files": {"files", "foreign", "recording", "validation"},
     "archive": {"files"},
     "workers": {"extras", "memory", "validation"},

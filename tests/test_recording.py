@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from armperturb.foreign.program import Refused, parse
+from armperturb.joined_recordings import join_recordings
 from armperturb.recording import (
     MUSCLES,
     REQUIRED_SIGNALS,
@@ -14,7 +15,6 @@ from armperturb.recording import (
     Action,
     check_recording,
     emg_highpass,
-    join_recordings,
     make_recording,
     muscle_actions,
 )
@@ -311,3 +311,21 @@ def test_truncated_files_are_named(recording, tmp_path):
     (tmp_path / "r.nc").write_bytes(whole[: len(whole) // 2])
     with pytest.raises(ValueError, match=r"r.nc: "):
         load_recording(tmp_path / "r.nc")
+
+
+def test_emg_joins_whatever_the_order_of_muscles_and_differences_are_named(whole_recording):
+    turned = whole_recording.isel(muscle=slice(None, None, -1))
+    joined, lost = join_recordings([whole_recording, turned], optional=["emg"])
+    assert "emg" not in lost
+    np.testing.assert_array_equal(joined["emg"].values, np.concatenate([whole_recording["emg"].values] * 2))
+    check_recording(joined)
+    slower = whole_recording.isel(emg_time=slice(None, None, 2)).assign_attrs(emg_rate=1000.0)
+    fewer = whole_recording.isel(muscle=slice(3))
+    for other, difference in (
+        (slower, "rates [Hz] 2000 and 1000"),
+        (fewer, "muscles "),
+        (whole_recording.drop_vars("emg"), "not in all of them"),
+    ):
+        joined, lost = join_recordings([whole_recording, other], optional=["emg"])
+        assert lost["emg"].startswith(difference)
+        assert "emg" not in joined

@@ -190,7 +190,7 @@ class Identify(Command):
         from armperturb.analysis.joint.export import write_joint
         from armperturb.analysis.joint.identify import identify_joint
         from armperturb.analysis.page.joint_page import write_joint_page
-        from armperturb.recording import join_recordings
+        from armperturb.joined_recordings import join_recordings
 
         result = identify_joint(
             recordings[0] if len(recordings) == 1 else join_recordings(recordings, optional=["scheduling"]).recording,
@@ -304,7 +304,7 @@ class Identify(Command):
         from armperturb.analysis.fit.emg_likelihood import ElectromechanicalDelay
         from armperturb.analysis.fit.use_emg import UseOfEmg
         from armperturb.commands.selection import select_trials
-        from armperturb.recording import join_recordings
+        from armperturb.joined_recordings import join_recordings
 
         delay = ElectromechanicalDelay(mean=self.emg_delay[0], sd=self.emg_delay[1])
         try:
@@ -313,7 +313,12 @@ class Identify(Command):
             )
             joined = recordings[0]
             if len(recordings) > 1:
-                joined = join_recordings(recordings, optional=("emg",)).recording
+                joined, lost = join_recordings(recordings, optional=("emg",))
+                if lost.get("emg"):
+                    raise ValueError(
+                        f"EMG is not used: the files differ in it ({lost['emg']}); expected the same muscles, rate and "
+                        "filters in all files"
+                    )
             require_emg(joined)
             del recordings
             result = envelopes(joined[["perturbation", "emg"]].drop_vars("emg_time"))
@@ -333,8 +338,8 @@ class Identify(Command):
             from armperturb.analysis.page.nonlinear_page import write_nonlinear_page
             from armperturb.workers import cpu_count
         from armperturb.analysis.fit.group import parts_by_condition
+        from armperturb.joined_recordings import join_recordings
         from armperturb.plots.style import save_plot
-        from armperturb.recording import join_recordings
 
         emg = self._emg(notes) if self.emg else None
         is_new = not self.out.exists()

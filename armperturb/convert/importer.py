@@ -31,7 +31,8 @@ from armperturb.convert.raw import RawTrial
 from armperturb.convert.reading import ARRAYS, C3D, TEXT, read_trials
 from armperturb.convert.sidecar import Sidecar
 from armperturb.convert.tables import Repair
-from armperturb.recording import OPTIONAL_SIGNALS, is_one_axis, join_recordings
+from armperturb.joined_recordings import join_recordings
+from armperturb.recording import OPTIONAL_SIGNALS, is_one_axis
 from armperturb.recording_files import load_recording, wanted_signals
 from armperturb.validation import as_list, require_number, require_one_of, require_type
 
@@ -115,7 +116,8 @@ def import_recording(
     if len(ours) == 1:
         return Imported(recordings[0], notes)
     together = join_recordings(recordings, ", ".join(map(str, ours)), OPTIONAL_SIGNALS)
-    lost = [f"not in all files alike, so left out: {', '.join(together.lost)}"] if together.lost else []
+    lost = [f"{name} ({why})" if why else name for name, why in together.lost.items()]
+    lost = [f"not in all files alike, so left out: {', '.join(lost)}"] if lost else []
     return Imported(together.recording, (*notes, *lost))
 
 

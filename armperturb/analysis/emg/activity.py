@@ -52,8 +52,9 @@ class Activity(Result):
       unit: of amplitudes.
       limit: amplitude up to which a muscle counts as relaxed [-].
       levels: one row per condition, part of the trials ("before" or "during" the perturbation) and muscle: mean
-        `amplitude` over the reference's, one-sided `lower_95` limit, number of trials, `p` of the hypothesis that the
-        muscle is relaxed, adjusted for the number of muscles (Holm), and `is_active`.
+        `amplitude` over the reference's, one-sided `lower_95` limit, number of trials in which the channel is not dead,
+        `p` of the hypothesis that the muscle is relaxed, adjusted for the number of muscles (Holm), and `is_active`.
+        NaN, and not active, where nothing is known.
       cocontraction: one row per condition, part and joint: `index`, the mean over time of the lesser of the amplitudes
         of its flexors and extensors, and `ratio`, the same over the mean of both (Falconer & Winter 1985, Electromyogr.
         Clin. Neurophysiol. 25).
@@ -147,7 +148,8 @@ def activity(envelopes: Envelopes, limit: float | None = None) -> Activity:
             if not used:
                 continue
             power = np.array([mean_known(envelopes.power[trial, a:b]) for trial, a, b in used])
-            seconds = np.array([(b - a) / rate for _, a, b in used])
+            known = np.array([np.isfinite(envelopes.power[trial, a:b]).sum(axis=0) for trial, a, b in used])
+            seconds = known / rate
             levels += _tested(envelopes, str(condition), part, power, seconds, limit)
             is_there = power - envelopes.noise > ABOVE_NOISE * np.sqrt(_scatter(envelopes, power, seconds))
             for joint, word in JOINTS.items():
@@ -164,7 +166,7 @@ def activity(envelopes: Envelopes, limit: float | None = None) -> Activity:
                         cocontraction(envelopes, trial, slice(a, b), there, *groups)
                         for (trial, a, b), there in zip(used, is_there, strict=True)
                     ]
-                    index, ratio = np.mean(np.array(of_trials), axis=0)
+                    index, ratio = mean_known(np.array(of_trials))
                     indices.append((condition, part, word, index, ratio))
     return Activity(
         subject=str(labels["subject"].iloc[0]),
@@ -196,28 +198,29 @@ def _span(row: "pd.Series", part: str) -> tuple[int, int]:
 
 
 def _scatter(envelopes: Envelopes, power: Array, seconds: Array) -> Array:
-    """Variance of mean powers, (trial, muscle), that the finite time [s], (trial,), gives."""
-    return np.asarray(power**2 * 4.0 * envelopes.relative_variance(1.0) / seconds[:, None])
+    """Variance of mean powers that the finite time [s] gives, (trial, muscle) all."""
+    return np.asarray(power**2 * 4.0 * envelopes.relative_variance(1.0) / np.maximum(seconds, 1e-300))
 
 
 def _tested(
     envelopes: Envelopes, condition: str, part: str, power: Array, seconds: Array, limit: float
 ) -> list[tuple[Any, ...]]:
-    """Rows of `Activity.levels` of the mean power of trials, (trial, muscle), that last some seconds, (trial,)."""
-    n, above = len(power), power - envelopes.noise
-    variance = _scatter(envelopes, power, seconds).mean(axis=0)
-    dof = math.inf
-    if n >= FEWEST_TRIALS:
-        between = above.var(axis=0, ddof=1)
-        variance, dof = np.maximum(variance, between), n - 1
-    error = np.sqrt(variance / n)
-    mean = above.mean(axis=0)
-    p = np.nan_to_num(stats.t.sf((mean - limit**2) / np.maximum(error, 1e-300), dof), nan=1.0)
-    adjusted = holm(p)
+    """Rows of `Activity.levels` of the mean power of trials that is known for some seconds, (trial, muscle) both."""
+    above = power - envelopes.noise
+    n, mean = np.isfinite(above).sum(axis=0), mean_known(above)
+    variance = mean_known(_scatter(envelopes, power, seconds))
+    between = mean_known((above - mean) ** 2) * n / np.maximum(n - 1, 1)
+    scatters = n >= FEWEST_TRIALS
+    variance = np.where(scatters, np.maximum(variance, between), variance)
+    dof = np.where(scatters, n - 1.0, math.inf)
+    error = np.sqrt(variance / np.maximum(n, 1))
+    p = stats.t.sf((mean - limit**2) / np.maximum(error, 1e-300), dof)
+    adjusted = np.full(len(p), math.nan)
+    adjusted[n > 0] = holm(p[n > 0])
     lower = mean - stats.t.ppf(0.95, dof) * error
     amplitude, least = (np.sqrt(np.maximum(each, 0.0)) for each in (mean, lower))
     return [
-        (condition, part, name, amplitude[i], least[i], n, adjusted[i], bool(adjusted[i] < SIGNIFICANT))
+        (condition, part, name, amplitude[i], least[i], int(n[i]), adjusted[i], bool(adjusted[i] < SIGNIFICANT))
         for i, name in enumerate(envelopes.muscles)
     ]
 

@@ -79,7 +79,7 @@ class Envelopes(Result):
         (onset), or the number of samples; a trial that meets the workspace limit ends there.
       rate: of the envelopes [Hz].
       power: of the whitened channels about each sample, (trial, time, muscle), in units of the reference's; NaN where
-        a channel is dead.
+        a channel is dead, and everywhere of one that is dead in all maximal contractions.
       rectified: (pi / 2)^(1/2) times the mean modulus of the whitened channels about each sample, in units of the root
         of the reference's power, likewise.
       noise: power of the silent channels in the same units, (muscle,); see `whitening`.
@@ -169,7 +169,16 @@ class Envelopes(Result):
             if no_group
             else ()
         )
-        return (*said_of(self.faults), *hum, *map(str, self.crosstalk), *unknown)
+        lost = [name for name, volts in zip(self.muscles, self.reference_volts, strict=True) if math.isnan(volts)]
+        without = (
+            (
+                f"EMG of {', '.join(lost)}: dead in every {self.reference}, so that nothing is known of its amplitude; "
+                f"without trials of condition {MAXIMAL} it would be relative to the most active condition",
+            )
+            if lost
+            else ()
+        )
+        return (*said_of(self.faults), *hum, *map(str, self.crosstalk), *unknown, *without)
 
     def describe(self) -> Description:
         """Mean amplitude of each muscle in each condition, and what is wrong with the channels."""
@@ -194,7 +203,7 @@ class Envelopes(Result):
         amplitude = self.amplitude_of(self.mean_power())
         rows = []
         for condition in dict.fromkeys(self.labels["condition"]):
-            mean = amplitude[(self.labels["condition"] == condition).to_numpy()].mean(axis=0)
+            mean = mean_known(amplitude[(self.labels["condition"] == condition).to_numpy()])
             for column, name in enumerate(self.muscles):
                 rows.append((condition, name, mean[column], mean[column] * self.reference_volts[column]))
         return pd.DataFrame(rows, columns=["condition", "muscle", "amplitude", "amplitude_V"])
@@ -381,12 +390,16 @@ def _reference(power: Array, labels: pd.DataFrame, maximal: str, rate: float) ->
     is_maximal = (labels["condition"] == maximal).to_numpy()
     if is_maximal.any():
         window = max(round(MAXIMAL_WINDOW * rate), 1)
-        summed = np.cumsum(np.nan_to_num(power[is_maximal]), axis=1)
+        of_maximal = power[is_maximal]
+        is_dead = np.isnan(of_maximal)
+        summed, dead = (np.cumsum(each, axis=1) for each in (np.where(is_dead, 0.0, of_maximal), is_dead))
         if summed.shape[1] > window:
-            means = (summed[:, window:] - summed[:, :-window]).reshape(-1, power.shape[2]) / window
+            means, lost = (each[:, window:] - each[:, :-window] for each in (summed, dead))
+            means = np.where(lost == 0, means / window, -1.0).reshape(-1, power.shape[2])
             # Not the largest, which is that of the noise as well.
-            near = np.where(means >= PLATEAU * means.max(axis=0), means, np.nan)
-            return "maximal contraction", np.nanmedian(near, axis=0)
+            near = np.where((means >= PLATEAU * means.max(axis=0)) & (means >= 0.0), means, np.nan)
+            with warnings.catch_warnings(action="ignore"):
+                return "maximal contraction", np.nanmedian(near, axis=0)
     means = _means(power, labels["onset"].to_numpy(), 0)
     by_condition = pd.DataFrame(means).groupby(labels["condition"].to_numpy(), sort=False).mean()
     shares = by_condition / by_condition.max().clip(lower=np.finfo(float).tiny)

@@ -66,20 +66,25 @@ def reflex_outputs(trials: ConditionTrials, envelopes: Envelopes) -> ReflexOutpu
       trials: of the condition; no others of it are in the envelopes.
       envelopes: of the person.
 
+    A muscle whose channel is dead in any of the trials is left out, as what is left would change with the trial.
+
     Raises:
-      ValueError: the envelopes hold other trials of the condition, or of no muscle is it known what it does.
+      ValueError: the envelopes hold other trials of the condition; of no muscle is it known what it does; or each of
+        these is dead in a trial.
     """
     require_known_muscles(envelopes)
     rows = envelopes.rows(trials.label, trials.n_trials)
     window = RecordWindow.of(trials)
-    amplitude = np.nan_to_num(envelopes.amplitudes(rows))
+    amplitude = envelopes.amplitudes(rows)
+    alive = np.flatnonzero(np.isfinite(amplitude[:, : window.end]).all(axis=(0, 1)))
+    amplitude = np.nan_to_num(amplitude)
     groups, differences = [], []
     for joints in GROUPS:
         sides = [
             [
                 column
                 for column, action in enumerate(envelopes.muscles.values())
-                if action.joints == joints and action.sign == sign
+                if action.joints == joints and action.sign == sign and column in alive
             ]
             for sign in (-1, 1)
         ]
@@ -87,6 +92,11 @@ def reflex_outputs(trials: ConditionTrials, envelopes: Envelopes) -> ReflexOutpu
             extensors, flexors = (amplitude[..., side].mean(axis=2) if side else 0.0 for side in sides)
             groups.append(joints)
             differences.append(np.asarray(extensors - flexors))
+    if not groups:
+        raise ValueError(
+            f"EMG is not used: every muscle is dead in some trial of {trials.label}; expected one that is recorded in "
+            "all of them"
+        )
     difference, turned = np.stack(differences, axis=2), rotation(trials)
     has_angles = "joint_angle" in trials.recording.data_vars
     load = None if has_angles else window(trials.force @ np.linalg.inv(hand_jacobian(trials.body)).T)

@@ -14,7 +14,6 @@ and trials). The p of no response, in such noise, is that of the best of all del
 """
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 from types import NoneType
 from typing import TYPE_CHECKING, Any
@@ -25,7 +24,8 @@ import xarray as xr
 from scipy import fft, optimize, special, stats
 
 from armperturb.analysis.defaults import WINDOW_START
-from armperturb.analysis.emg.envelope import Envelopes, mean_known
+from armperturb.analysis.emg.envelope import Envelopes
+from armperturb.analysis.emg.pulse_average import pulse_averages
 from armperturb.analysis.emg.rotation import rotation
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.analysis.trials import ConditionTrials
@@ -48,9 +48,6 @@ N_DELAYS = 30
 BIN = 1.0
 """Width of the bands in which the response is averaged [Hz]."""
 
-BACKGROUND, SHORT, LONG = (-0.1, 0.0), (0.02, 0.05), (0.05, 0.1)
-"""Windows about the onset of a pulse: before it, of short and of long latency [s]."""
-
 JOINTS = ("shoulder", "elbow")
 
 GAINS = ("velocity_s", "velocity_e", "position_s", "position_e")
@@ -61,6 +58,12 @@ RANK = 1e-12
 
 WITH_LIMITS = ("delay_s", "delay_error_s", "lower_95_s", "upper_95_s")
 """Columns of a delay."""
+
+FITTED = (*WITH_LIMITS, *GAINS, *(f"{name}_error" for name in GAINS), "coherence", "p")
+"""Columns of what is fitted to a muscle."""
+
+UNKNOWN = dict.fromkeys(FITTED, math.nan) | {"coherence": 0.0, "p": 1.0}
+"""What is fitted to a muscle that is never above its noise, or whose channel is dead in too many trials."""
 
 FEWEST_SECONDS = 4.0
 """Time of a trial from which on it tells of reflexes [s]."""
@@ -83,7 +86,7 @@ class Reflexes(Result):
       responses: one row per muscle: `delay_s`, `delay_error_s` and its 95 % limits `lower_95_s` and `upper_95_s`,
         `delay_by_phase_s`, gains `velocity_s`, `velocity_e` [s/rad] and `position_s`, `position_e` [1/rad] with their
         errors (`..._error`), `coherence` of amplitude and rotation in the whole band, and `p` of no response
-        at any delay.
+        at any delay; of the trials in which the channel is not dead.
       frequency: centres of bands [Hz], (band,).
       response: H_xa from rotation of shoulder and elbow to amplitude [1/rad], (muscle, joint, band).
       response_error: standard error of its modulus, (muscle, joint, band).
@@ -168,6 +171,8 @@ def reflexes(
 ) -> Reflexes:
     """Reflexes of one condition, from a time on to the pulses, and averages about these.
 
+    A trial in which a muscle's channel is dead is none of that muscle's.
+
     Args:
       trials: of the condition.
       envelopes: of all the person's trials.
@@ -199,7 +204,8 @@ def reflexes(
     f, taper = frequency[inside], np.hanning(length)[None, :, None]
     # Neighbouring lines of a tapered spectrum share what they tell.
     shared = float(np.sum(taper**4) * length / np.sum(taper**2) ** 2)
-    n_lines = len(used) * np.bincount(_bands(f)).max() / shared
+    of_trial = np.bincount(_bands(f)) / shared
+    n_lines = len(used) * of_trial.max()
     if n_lines < FEWEST_LINES:
         raise ValueError(
             f"reflexes: trials of {trials.label} ({len(used)} x {length / rate:g} s before the pulse) have "
@@ -213,14 +219,28 @@ def reflexes(
         part = part - part.mean(axis=1, keepdims=True)
         return np.asarray(fft.rfft(part * taper, axis=1)[:, inside].swapaxes(1, 2))  # (trial, signal, frequency)
 
-    q, a = spectrum(angles), spectrum(np.nan_to_num(amplitude)) / np.sinc(f * envelopes.averaging)
+    q, a = spectrum(angles), spectrum(amplitude) / np.sinc(f * envelopes.averaging)
     turns = np.ptp(angles[used, first : first + length], axis=1)  # (trial, joint)
     if still := [name for name, extent in zip(JOINTS, turns.T, strict=True) if not extent.any()]:
         raise ValueError(
             f"reflexes: no rotation of {' and '.join(still)} in trials of {trials.label}; expected that of both joints"
         )
-    fits = [_whitened_fit(q, a[:, column], f, shared) for column in range(len(names))]
-    response, error, coherence, centre = _response(q, a, f, shared)
+    bands = np.flatnonzero(len(used) * of_trial >= FEWEST_LINES)
+    centre = np.array([f[_bands(f) == band].mean() for band in bands])
+    response = np.full((len(names), len(JOINTS), len(bands)), np.nan, complex)
+    error, coherence = np.full(response.shape, np.nan), np.full((len(names), len(bands)), np.nan)
+    fits = [UNKNOWN] * len(names)
+    is_alive = np.isfinite(a).all(axis=2)  # (trial, muscle)
+    for alive in np.unique(is_alive, axis=1).T:
+        if alive.sum() * of_trial.max() >= FEWEST_LINES:
+            columns = np.flatnonzero((alive == is_alive.T).all(axis=1))
+            turned, active = q[alive], a[np.ix_(alive, columns)]
+            enough = alive.sum() * of_trial[bands] >= FEWEST_LINES
+            places = np.ix_(columns, np.flatnonzero(enough))
+            found = _response(turned, active, f, shared, bands[enough])
+            response.swapaxes(1, 2)[places], error.swapaxes(1, 2)[places], coherence[places] = found
+            for place, column in enumerate(columns):
+                fits[column] = _whitened_fit(turned, active[:, place], f, shared)
     table = pd.DataFrame([{"muscle": name, **fit} for name, fit in zip(names, fits, strict=True)])
     table["delay_by_phase_s"] = [
         _by_phase(response[column], error[column], centre, fit) for column, fit in enumerate(fits)
@@ -312,9 +332,8 @@ def _searched(q: ComplexArray, a: ComplexArray, f: Array) -> tuple[float, Array]
 def _fit(q: ComplexArray, a: ComplexArray, f: Array, shared: float) -> dict[str, float]:
     """Delay and gains of a muscle in flat noise, with standard errors; a is (trial, frequency)."""
     rows = np.concatenate([a.ravel().real, a.ravel().imag])
-    if not rows.any():  # a dead channel
-        values = (*WITH_LIMITS, *GAINS, *(f"{name}_error" for name in GAINS))
-        return dict.fromkeys(values, math.nan) | {"coherence": 0.0, "p": 1.0}
+    if not rows.any():
+        return UNKNOWN
 
     delay, gains = _searched(q, a, f)
     design, undelayed = _design(q, f, delay), _design(q, f, 0.0)
@@ -379,15 +398,15 @@ def _bands(f: Array) -> Indices:
     return np.floor(f / BIN).astype(np.intp)
 
 
-def _response(q: ComplexArray, a: ComplexArray, f: Array, shared: float) -> tuple[ComplexArray, Array, Array, Array]:
-    """H_xa, the standard error of its modulus, multiple coherence and centres of bands."""
+def _response(
+    q: ComplexArray, a: ComplexArray, f: Array, shared: float, bands: Indices
+) -> tuple[ComplexArray, Array, Array]:
+    """H_xa and the standard error of its modulus, (muscle, band, joint), and multiple coherence, (muscle, band)."""
     places = _bands(f)
-    responses, errors, coherences, centres = [], [], [], []
-    for place in np.unique(places):
+    responses, errors, coherences = [], [], []
+    for place in bands:
         inputs, outputs = (each[..., places == place].swapaxes(0, 1).reshape(each.shape[1], -1) for each in (q, a))
         n = inputs.shape[1] / shared
-        if n < FEWEST_LINES:
-            continue
         power = inputs @ inputs.conj().T
         inverse = np.linalg.inv(power)
         response = outputs @ inputs.conj().T @ inverse
@@ -398,8 +417,7 @@ def _response(q: ComplexArray, a: ComplexArray, f: Array, shared: float) -> tupl
         # Half of a complex error's variance lies along the modulus.
         errors.append(np.sqrt(0.5 * shared * noise[:, None] * np.diag(inverse).real))
         coherences.append(1.0 - remainder / total)
-        centres.append(f[places == place].mean())
-    return np.stack(responses, axis=-1), np.stack(errors, axis=-1), np.stack(coherences, axis=-1), np.array(centres)
+    return np.stack(responses, axis=1), np.stack(errors, axis=1), np.stack(coherences, axis=1)
 
 
 def _by_phase(response: ComplexArray, error: Array, frequency: Array, fit: dict[str, float]) -> float:
@@ -414,35 +432,3 @@ def _by_phase(response: ComplexArray, error: Array, frequency: Array, fit: dict[
     weight = snr[joint] ** 2
     omega = 2.0 * np.pi * frequency
     return float(fit["delay_s"] - np.sum(weight * omega * turned) / max(np.sum(weight * omega**2), 1e-300))
-
-
-def pulse_averages(envelopes: Envelopes, rows: Iterable[int]) -> pd.DataFrame:
-    """Amplitude about the onset of pulses, by muscle and direction: `Reflexes.averages`.
-
-    Args:
-      envelopes: of a person.
-      rows: which trials.
-    """
-    labels, rate = envelopes.labels.iloc[list(rows)], envelopes.rate
-    with_pulse = labels[np.isfinite(labels["pulse_onset"])]
-    table = []
-    for direction, of_direction in with_pulse.groupby("pulse_direction", sort=True):
-        levels = []
-        for trial, row in of_direction.iterrows():
-            onset = row["pulse_onset"]
-            windows = []
-            for start, end in (BACKGROUND, SHORT, LONG):
-                a, b = (round((onset + t) * rate) for t in (start, end))
-                windows.append(envelopes.amplitude_of(mean_known(envelopes.power[trial, max(a, 0) : b])))
-            levels.append(windows)
-        of_all = np.array(levels)  # (trial, window, muscle)
-        above = of_all[:, 1:] - of_all[:, :1]
-        n = len(of_all)
-        error = above.std(axis=0, ddof=1) / math.sqrt(n) if n > 1 else np.full(above.shape[1:], math.nan)
-        for column, name in enumerate(envelopes.muscles):
-            short, long = above.mean(axis=0)[:, column]
-            table.append(
-                (name, direction, n, of_all[:, 0, column].mean(), short, error[0, column], long, error[1, column])
-            )
-    columns = ["muscle", "direction_deg", "trials", "background", "short", "short_error", "long", "long_error"]
-    return pd.DataFrame(table, columns=columns)

@@ -31,7 +31,7 @@ from armperturb.analysis.response.spectra import SpectralEstimate
 from armperturb.analysis.trials import ConditionTrials, SeveralTrials, prepared_recordings, trials_by_condition
 from armperturb.arrays import Array
 from armperturb.environment import Environment
-from armperturb.recording import join_recordings
+from armperturb.joined_recordings import join_recordings
 from armperturb.subject import Subject
 
 SEGMENT = 120.0

@@ -23,7 +23,8 @@ from armperturb.analysis.response.subspace import fit_subspace
 from armperturb.analysis.response.tapers import estimate_multitaper, estimate_welch
 from armperturb.analysis.trials import SeveralTrials, TrialRecord, prepared, prepared_condition, prepared_recordings
 from armperturb.arrays import Array
-from armperturb.recording import is_one_axis, join_recordings, named
+from armperturb.joined_recordings import join_recordings
+from armperturb.recording import is_one_axis, named
 from armperturb.validation import require_one_of
 
 FEWEST_TRIALS = 4

@@ -24,9 +24,9 @@ from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.trial import Trial
 from armperturb.files import write_whole
+from armperturb.joined_recordings import stack_trials
 from armperturb.perturbations import Multisine
 from armperturb.progress import Progress
-from armperturb.recording import stack_trials
 from armperturb.recording_files import encode_recording
 from armperturb.study.protocol import Protocol
 from armperturb.study.recording.folder import StudyFolder, cannot_write, open_study

@@ -1,5 +1,7 @@
 """Whether muscles are relaxed, and co-contraction, of EMG of known levels."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from invented_emg import noise, recorded
@@ -89,3 +91,23 @@ def test_sentence_names_who_did_not_relax():
         f"In the relax task, 1 of 2 people did not relax (a muscle above {limit}, p < 0.05): A in RT7.5."
     )
     assert "no EMG" in relaxation_sentence([], ["RT7.5"])
+
+
+def test_trials_in_which_a_channel_is_dead_do_not_count():
+    recording = recorded(noise((4, 2, N)))
+    amplitudes = envelopes(recording)
+    power = amplitudes.power.copy()
+    power[0, :, 0] = np.nan
+    some, whole = activity(replace(amplitudes, power=power)), activity(amplitudes)
+    row, other = (result.levels.set_index("muscle").loc[["flexor", "extensor"]] for result in (some, whole))
+    assert row["trials"].tolist() == [3, 4]
+    assert row.loc["extensor"].drop("p").to_dict() == other.loc["extensor"].drop("p").to_dict()
+    level = amplitudes.amplitude_of(amplitudes.power[1:, :, 0].mean(axis=1)[:, None])[:, 0]
+    assert row.loc["flexor", "amplitude"] == pytest.approx(np.sqrt(np.mean(level**2)), rel=1e-3)
+    assert some.cocontraction["index"].notna().all()
+    power[:, :, 0] = np.nan
+    none = activity(replace(amplitudes, power=power)).levels.set_index("muscle")
+    assert none.loc["flexor"][["amplitude", "p"]].isna().all()
+    assert not none.loc["flexor", "is_active"]
+    # The only muscle that is tested, so that nothing is adjusted.
+    assert none.loc["extensor", "p"] <= other.loc["extensor", "p"]

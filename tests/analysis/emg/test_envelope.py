@@ -222,3 +222,19 @@ def test_what_comes_after_the_workspace_limit_does_not_count():
     amplitude = found.to_frame().set_index(["condition", "muscle"])["amplitude_V"]
     np.testing.assert_allclose(amplitude, 0.1, rtol=0.1)
     assert found.labels["pulse_onset"].notna().tolist() == [False, False, True]
+
+
+def test_a_muscle_that_is_dead_in_every_maximal_contraction_has_no_amplitude():
+    volts = noise((4, 2, 20_000))
+    volts[2:, 0] = 0.0
+    conditions = ["RT7.5", "RT7.5", "MVC", "MVC"]
+    amplitudes = envelopes(recorded(volts, condition=conditions))
+    assert amplitudes.reference == "maximal contraction"
+    assert np.isnan(amplitudes.power[..., 0]).all()
+    assert np.isfinite(amplitudes.power[..., 1]).all()
+    assert any("dead in every maximal contraction" in remark for remark in amplitudes.remarks)
+    # One of the contractions is enough.
+    volts[3, 0] = volts[3, 1]
+    amplitudes = envelopes(recorded(volts, condition=conditions))
+    assert amplitudes.amplitude_of(amplitudes.mean_power())[0, 0] == pytest.approx(1.0, abs=0.1)
+    assert not any("dead in every" in remark for remark in amplitudes.remarks)

@@ -10,7 +10,8 @@ from scipy import signal, stats
 
 from armperturb.analysis.arm.geometry import hand_jacobian
 from armperturb.analysis.emg.envelope import LABELS, Envelopes, envelopes
-from armperturb.analysis.emg.reflex import pulse_averages, reflexes
+from armperturb.analysis.emg.pulse_average import pulse_averages
+from armperturb.analysis.emg.reflex import reflexes
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.recording import Action
 from armperturb.subject import RELAX
@@ -217,3 +218,34 @@ def test_a_channel_of_zeros_says_nothing_and_the_others_what_they_did(recording,
     assert first["p"] == 1.0
     assert second["delay_s"] == pytest.approx(result.responses["delay_s"][1], abs=1e-6)
     assert "flexor" in dead.summary()
+
+
+def without(amplitudes, trials, column):
+    """The same envelopes, whose channel is dead in some trials."""
+    power, rectified = amplitudes.power.copy(), amplitudes.rectified.copy()
+    power[trials, :, column] = rectified[trials, :, column] = np.nan
+    return replace(amplitudes, power=power, rectified=rectified)
+
+
+def test_trials_in_which_a_channel_is_dead_are_none_of_its_muscles(recording, amplitudes, result):
+    trials = ConditionTrials.prepare(recording)
+    others = reflexes(trials.take([2, 3, 4, 5]), amplitudes, window_start=1.0)
+    dead = reflexes(trials, without(amplitudes, [0, 1], 0), window_start=1.0)
+    for row, expected in ((0, others), (1, result)):
+        numbers = (each.responses.drop(columns="muscle").loc[row].astype(float) for each in (dead, expected))
+        np.testing.assert_allclose(*numbers, rtol=1e-9)
+        np.testing.assert_allclose(dead.response[row], expected.response[row])
+        np.testing.assert_allclose(dead.coherence[row], expected.coherence[row])
+    averages = dead.averages.set_index("muscle")
+    assert averages["trials"].to_dict() == {"flexor": 4, "extensor": 6}
+    expected = others.averages.set_index("muscle").loc["flexor"].to_dict()
+    assert averages.loc["flexor"].to_dict() == pytest.approx(expected)
+
+
+def test_a_channel_that_is_dead_in_nearly_all_trials_is_unknown(recording, amplitudes, result):
+    dead = reflexes(ConditionTrials.prepare(recording), without(amplitudes, [0, 1, 2, 3, 4, 5], 0), window_start=1.0)
+    first, second = dead.responses.to_dict("records")
+    assert np.isnan([first["delay_s"], first["velocity_s"]]).all()
+    assert np.isnan(dead.response[0]).all()
+    assert second["delay_s"] == result.responses["delay_s"][1]
+    assert dead.plot().shape == (3, 2)

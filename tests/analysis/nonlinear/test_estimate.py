@@ -27,8 +27,8 @@ from armperturb.analysis.nonlinear.start import best_start
 from armperturb.analysis.nonlinear.trials import fitted_conditions, training_sets
 from armperturb.analysis.results import PARAMETER_COLUMNS
 from armperturb.cohort import average_person, draw_person
+from armperturb.joined_recordings import stack_trials
 from armperturb.muscle_law import ELEMENTS
-from armperturb.recording import stack_trials
 from armperturb.subject import RELAX, at_level
 
 PERSON = average_person().subjects["RT"]

@@ -26,8 +26,8 @@ from armperturb.analysis.page.page import WORDS, Origin, write_page
 from armperturb.analysis.page.verdict import likely_causes, nonlinearity, unknowns, verdict
 from armperturb.analysis.response.best_linear import best_linear
 from armperturb.analysis.results import Description, Table, plain
+from armperturb.joined_recordings import stack_trials
 from armperturb.plots.traces import COLUMNS, outline
-from armperturb.recording import stack_trials
 from tests.browser import BROKEN_IMAGES, CHROMIUM, DEAD_LINKS, SMALL_PRINT, TOO_WIDE, Browser, complaints, requests
 
 NAME = "<b>S & 1</b>"

@@ -19,9 +19,9 @@ from armperturb.cohort import draw_person
 from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
+from armperturb.joined_recordings import stack_trials
 from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations import Multisine, MultisineThenPulse, Pulse
-from armperturb.recording import stack_trials
 from armperturb.recording_files import load_recording, save_recording
 from armperturb.study.comparison.effects import Effects
 from armperturb.study.protocol import THESIS
