@@ -237,8 +237,8 @@ def reflexes(
             turned, active = q[alive], a[np.ix_(alive, columns)]
             enough = alive.sum() * of_trial[bands] >= FEWEST_LINES
             places = np.ix_(columns, np.flatnonzero(enough))
-            found = _response(turned, active, f, shared, bands[enough])
-            response.swapaxes(1, 2)[places], error.swapaxes(1, 2)[places], coherence[places] = found
+            values = _response(turned, active, f, shared, bands[enough])
+            response.swapaxes(1, 2)[places], error.swapaxes(1, 2)[places], coherence[places] = values
             for place, column in enumerate(columns):
                 fits[column] = _whitened_fit(turned, active[:, place], f, shared)
     table = pd.DataFrame([{"muscle": name, **fit} for name, fit in zip(names, fits, strict=True)])

@@ -20,7 +20,7 @@ from armperturb.analysis.nonlinear.prediction import PulsePrediction, facts_of, 
 from armperturb.analysis.nonlinear.result import NonlinearEstimate
 from armperturb.analysis.nonlinear.spindle_emg import usable_emg
 from armperturb.analysis.nonlinear.start import linear_arms
-from armperturb.analysis.nonlinear.trials import fitted_conditions, training_sets
+from armperturb.analysis.nonlinear.trials import cut_remarks, fitted_conditions, training_sets
 from armperturb.analysis.results import Description, Result
 from armperturb.muscle_law import MuscleLaw
 from armperturb.planar_arm.simulation import load_compiled_arm
@@ -178,6 +178,7 @@ def identify_nonlinear(
     else:
         model = Model(law=law, free=("Td",) if used else (), parts=parts)
         estimate = fit(fitted, arms, model, emg=used, checkpoint=folder and folder / "checkpoint.json.gz", **options)
+    estimate = replace(estimate, remarks=(*cut_remarks(sets, fitted), *estimate.remarks))
     pulses: dict[str, list[PulsePrediction]] = {"nonlinear": [], "linear": [], "skeletal": []}
     everywhere = nearest_arms(list(sets.values()), arms)
     for trials in left_out:

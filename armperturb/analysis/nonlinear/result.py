@@ -6,7 +6,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from armperturb.analysis.fit.whittle import LackOfFit
-from armperturb.analysis.nonlinear.model import SIGNED, Model, Parameters, coordinate, stem, unit, value_at
+from armperturb.analysis.nonlinear.model import (
+    SIGNED,
+    Model,
+    Parameters,
+    coordinate,
+    stem,
+    unit,
+    value_at,
+    value_per_coordinate,
+)
 from armperturb.analysis.nonlinear.noise import Noise
 from armperturb.analysis.nonlinear.simulated import State
 from armperturb.analysis.results import Description, FitResult, Interval, parameter_table, quantile
@@ -26,8 +35,8 @@ TOGETHER = 0.8
 class NonlinearEstimate(FitResult):
     """Maximum-likelihood estimate of one person's parameters, in the units of `Subject` and `MuscleLaw`.
 
-    Errors are closest to normal in the parameters' `model.coordinate`: the logarithm, or an asinh of what may be
-    negative. Confidence intervals are symmetric there; `standard_error` is its linear approximation at the estimate.
+    Confidence intervals are symmetric in the logarithm of parameters that are positive, and in those themselves that may
+    be negative; `standard_error` is that of the parameter itself, by linear approximation.
 
     Attributes:
       coordinate_error: standard error of the estimates' coordinates [-]; `correlation` is that of these errors.
@@ -56,7 +65,7 @@ class NonlinearEstimate(FitResult):
     strengths: tuple[Array, ...]
 
     def interval(self, name: str, level: float = 0.95) -> Interval:
-        """Confidence interval of a parameter: symmetric in its `coordinate`.
+        """Confidence interval of a parameter: symmetric in its logarithm, or in itself if it may be negative.
 
         Args:
           name: of the parameter, as in `values`.
@@ -102,7 +111,16 @@ class NonlinearEstimate(FitResult):
 
 
 def _interval(name: str, value: float, half: float) -> Interval:
-    """The interval that reaches so far to both sides in the parameter's coordinate."""
+    """The interval that reaches so far to both sides in the logarithm of a parameter, or in itself, if it has no sign.
+
+    Args:
+      name: of the parameter.
+      value: its estimate.
+      half: of the interval, in the parameter's coordinate.
+    """
+    if stem(name) in SIGNED:  # the coordinate is a logarithm on either side of zero, which an interval has to cross
+        reach = half * value_per_coordinate(name, value)
+        return Interval(value - reach, value + reach)
     middle = coordinate(name, value)
     return Interval(value_at(name, middle - half), value_at(name, middle + half))
 

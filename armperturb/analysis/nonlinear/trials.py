@@ -7,9 +7,13 @@ import numpy as np
 import xarray as xr
 
 from armperturb.analysis.trials import ConditionTrials, trials_by_condition
+from armperturb.arrays import Indices
 
 LEAST = 5.0
 """Shortest time before a pulse that is fitted [s]."""
+
+CUT = 1.0
+"""Time that is left out before a pulse from which on it is told [s]."""
 
 
 def fitted_conditions(recording: xr.Dataset) -> dict[str, ConditionTrials]:
@@ -38,6 +42,9 @@ def training_sets(
 ) -> tuple[list[ConditionTrials], list[ConditionTrials]]:
     """Trials to fit, and trials whose pulses are left out.
 
+    Trials of a condition are fitted up to the same time. Where pulses begin at different times, it is the one that
+    keeps most: trials whose pulse begins before it are not fitted, see `cut_remarks`.
+
     Args:
       conditions: all trials by condition.
       pulse_directions_deg: directions of the pulses that are fitted; of other trials, what comes before the pulse is.
@@ -57,7 +64,47 @@ def training_sets(
         if not with_pulse.all():
             others = trials.take(np.flatnonzero(~with_pulse))
             left_out.append(others)
-            before = others.before(others.first_onset)
-            if before.end >= LEAST * before.rate and before.drive[:, : before.end].any(axis=(1, 2)).all():
-                fitted.append(before)
+            ends = _ends(others)
+            end = max(ends, key=lambda end: (end * (ends >= end).sum(), end))
+            if end >= LEAST * others.rate:
+                fitted.append(others.take(np.flatnonzero(ends >= end)).before(int(end)))
     return fitted, left_out
+
+
+def cut_remarks(conditions: Mapping[str, ConditionTrials], fitted: Iterable[ConditionTrials]) -> list[str]:
+    """Which perturbed trials are not fitted because their pulse comes early, and which are cut, a line each.
+
+    Args:
+      conditions: all trials by condition.
+      fitted: what `training_sets` takes of them.
+    """
+    sets, remarks = list(fitted), []
+    for label, condition in conditions.items():
+        ends = _ends(condition)
+        end_of = {int(number): trials.end for trials in sets if trials.label == label for number in trials.numbers}
+        missing = [k for k, number in enumerate(condition.numbers) if ends[k] and int(number) not in end_of]
+        if missing:
+            latest = ends[missing].max() / condition.rate
+            begin = f"begins at {latest:.3g} s" if len(missing) == 1 else f"begin at {latest:.3g} s or earlier"
+            pulses = "its pulse" if len(missing) == 1 else "their pulses"
+            verb = "is" if len(missing) == 1 else "are"
+            remarks.append(
+                f"{label}: {len(missing)} of {condition.n_trials} trials {verb} not fitted, as {pulses} {begin}"
+            )
+        cut = [
+            (ends[k] - end_of[int(number)]) / condition.rate
+            for k, number in enumerate(condition.numbers)
+            if int(number) in end_of
+        ]
+        if cut and max(cut) > CUT:
+            remarks.append(
+                f"{label}: {sum(each > CUT for each in cut)} of {condition.n_trials} trials are fitted up to "
+                f"{min(end_of.values()) / condition.rate:.3g} s only, where the first pulse of the others begins"
+            )
+    return remarks
+
+
+def _ends(trials: ConditionTrials) -> Indices:
+    """First sample of each trial's pulse, or its end, where something perturbs it before that; 0 where nothing does."""
+    ends = np.minimum(trials.onset, trials.end)
+    return np.array([end if drive[:end].any() else 0 for end, drive in zip(ends, trials.drive, strict=True)], np.intp)

@@ -15,7 +15,7 @@ import xarray as xr
 from armperturb.analysis.arm.state_space import simulate_linear
 from armperturb.analysis.fit.thesis import ThesisEstimate
 from armperturb.analysis.nonlinear.model import stem
-from armperturb.analysis.nonlinear.trials import fitted_conditions, training_sets
+from armperturb.analysis.nonlinear.trials import cut_remarks, fitted_conditions, training_sets
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
 from armperturb.environment import Environment
@@ -179,7 +179,7 @@ def fit_nonlinear(
         at_bound=estimate.at_bound,
         converged=estimate.converged,
         status=estimate.message,
-        remarks=estimate.remarks,
+        remarks=(*cut_remarks(sets, fitted), *estimate.remarks),
         pulses=tuple(pulses),
     )
 

@@ -136,6 +136,13 @@ def test_with_noise_the_intervals_hold_the_truth_and_are_no_wider_than_they_must
     assert relative == pytest.approx(noisy_fit.coordinate_error[FREE[1]])
     narrow, wide = noisy_fit.interval(FREE[1], 0.5), noisy_fit.interval(FREE[1], 0.95)
     assert wide[0] < narrow[0] < noisy_fit.values[FREE[1]] < narrow[1] < wide[1]
+    # What may be negative has an interval about itself, which crosses zero where it is not told from that.
+    low, high = noisy_fit.interval(FREE[0])
+    assert (low + high) / 2.0 == pytest.approx(noisy_fit.values[FREE[0]])
+    assert high - low == pytest.approx(2.0 * 1.96 * noisy_fit.standard_error[FREE[0]], rel=1e-3)
+    error = {**noisy_fit.coordinate_error, FREE[0]: 5.0 / np.hypot(0.1, 0.2)}
+    near_zero = replace(noisy_fit, values={**noisy_fit.values, FREE[0]: 0.1}, coordinate_error=error)
+    assert near_zero.interval(FREE[0]) == pytest.approx((0.1 - 9.8, 0.1 + 9.8), rel=1e-3)
     np.testing.assert_allclose(np.diag(noisy_fit.correlation), 1.0)
     assert all(test.p_value > 1e-3 for test in noisy_fit.lack_of_fit.values())
     assert not any("amplitude" in remark for remark in noisy_fit.remarks)
