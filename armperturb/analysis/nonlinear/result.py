@@ -35,8 +35,8 @@ TOGETHER = 0.8
 class NonlinearEstimate(FitResult):
     """Maximum-likelihood estimate of one person's parameters, in the units of `Subject` and `MuscleLaw`.
 
-    Confidence intervals are symmetric in the logarithm of parameters that are positive, and in those themselves that may
-    be negative; `standard_error` is that of the parameter itself, by linear approximation.
+    Confidence intervals are symmetric in the logarithm of parameters that are positive, and in the parameter itself
+    where it may be negative; `standard_error` is that of the parameter itself, by linear approximation.
 
     Attributes:
       coordinate_error: standard error of the estimates' coordinates [-]; `correlation` is that of these errors.
