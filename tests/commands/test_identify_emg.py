@@ -70,6 +70,7 @@ def test_without_emg_the_movement_is_identified_alone(trial, tmp_path, capsys):
     for name, changed, message in (
         ("none", trial.drop_dims("emg_time"), "EMG is missing: the recording has no variable 'emg'"),
         ("silent", silent, "EMG is not used: all channels are zero; expected voltages"),
+        ("sound", trial, "EMG is not used: model 1 has no reflexes"),
     ):
         save_recording(changed, tmp_path / f"{name}.nc")
         asked = ("--model", "1", "--estimator", "frequency", "--emg", "--out", tmp_path / name)

@@ -131,16 +131,19 @@ class Envelopes(Result):
         """Amplitude over the reference's [-] of power that may have been averaged, (..., muscle)."""
         return np.sqrt(np.maximum(power - self.noise, 0.0))
 
-    def rows(self, condition: str, n_trials: int) -> Indices:
+    def rows(self, subject: str, condition: str, n_trials: int) -> Indices:
         """Which trials are those of a condition, in the order of the recording, (trial,).
 
         Args:
+          subject: of the other signals.
           condition: that it is.
           n_trials: how many the other signals have.
 
         Raises:
-          ValueError: there are more of it, or fewer.
+          ValueError: there are more of it, or fewer, or they are somebody else's.
         """
+        if subject != (whose := str(self.labels["subject"].iloc[0])):
+            raise ValueError(f"EMG is not used: it is {whose}'s, the other signals {subject}'s; expected one person's")
         rows = np.flatnonzero((self.labels["condition"] == condition).to_numpy())
         if len(rows) != n_trials:
             raise ValueError(
@@ -309,9 +312,11 @@ def envelopes(
       rest: condition of the trials at rest.
 
     Raises:
-      ValueError: as `require_emg`; or the band is empty.
+      ValueError: as `require_emg`; there are several people; or the band is empty.
     """
     require_emg(recording)
+    if len(people := dict.fromkeys(recording["subject"].values.tolist())) > 1:
+        raise ValueError(f"envelopes: EMG of {', '.join(map(str, people))}; expected one person's")
     rate, mechanical = float(recording.attrs["emg_rate"]), float(recording.attrs["rate"])
     high = HIGH_SHARE * rate if high is None else high
     require_number("envelopes", "low", low, above=0.0, below=rate / 4.0)

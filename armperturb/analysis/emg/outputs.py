@@ -73,7 +73,7 @@ def reflex_outputs(trials: ConditionTrials, envelopes: Envelopes) -> ReflexOutpu
         these is dead in a trial.
     """
     require_known_muscles(envelopes)
-    rows = envelopes.rows(trials.label, trials.n_trials)
+    rows = envelopes.rows(trials.name, trials.label, trials.n_trials)
     window = RecordWindow.of(trials)
     amplitude = envelopes.amplitudes(rows)
     alive = np.flatnonzero(np.isfinite(amplitude[:, : window.end]).all(axis=(0, 1)))

@@ -269,7 +269,7 @@ def rows_of(trials: ConditionTrials, envelopes: Envelopes) -> Indices:
       ValueError: the envelopes hold other trials of the condition.
     """
     whole = trials.whole or trials
-    rows = envelopes.rows(whole.label, whole.n_trials)
+    rows = envelopes.rows(whole.name, whole.label, whole.n_trials)
     return rows if trials.whole is None else rows[trials.numbers]
 
 

@@ -334,6 +334,8 @@ def identify_conditions(
             fits = {
                 group.label: replace(_likely_fit(joint, group, group.spectra), trials=group.parts) for group in groups
             }
+        if emg:
+            fits = {label: _told_without_emg(fit) for label, fit in fits.items()}
     return Identifications(
         {
             label: Identification(
@@ -348,6 +350,14 @@ def identify_conditions(
             for label, fit in fits.items()
         }
     )
+
+
+def _told_without_emg(fit: ArmFit) -> ArmFit:
+    """A fit with a remark if it has no gains of EMG (`EmgLikelihood.names`)."""
+    if any(name.startswith("g_") for name in fit.values):
+        return fit
+    remark = f"EMG is not used: model {fit.structure} has no reflexes, of which it tells; the movement alone is used"
+    return replace(fit, remarks=(*fit.remarks, remark))
 
 
 def _only(parts: Sequence[ConditionTrials]) -> ConditionTrials:

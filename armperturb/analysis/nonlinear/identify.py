@@ -178,7 +178,12 @@ def identify_nonlinear(
     else:
         model = Model(law=law, free=("Td",) if used else (), parts=parts)
         estimate = fit(fitted, arms, model, emg=used, checkpoint=folder and folder / "checkpoint.json.gz", **options)
-    estimate = replace(estimate, remarks=(*cut_remarks(sets, fitted), *estimate.remarks))
+    unused = (
+        ["EMG is not used: the relaxed arm has no reflexes, of which it tells; the movement alone is used"]
+        if emg and not used
+        else []
+    )
+    estimate = replace(estimate, remarks=(*cut_remarks(sets, fitted), *unused, *estimate.remarks))
     pulses: dict[str, list[PulsePrediction]] = {"nonlinear": [], "linear": [], "skeletal": []}
     everywhere = nearest_arms(list(sets.values()), arms)
     for trials in left_out:

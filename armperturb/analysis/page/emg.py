@@ -84,7 +84,7 @@ def _responses(
     """Condition to the response from rotation to EMG, where there is one; `left_out` gets why of the others."""
     responses = {}
     for label, parts in trials.items():
-        if len(parts) == 1:
+        if len(parts) == 1 and parts[0].drive.any():  # neither rest nor a maximal contraction
             try:
                 responses[label] = reflexes(parts[0], envelopes, arm=arms.get(label))
             except ValueError as error:

@@ -238,3 +238,14 @@ def test_a_muscle_that_is_dead_in_every_maximal_contraction_has_no_amplitude():
     amplitudes = envelopes(recorded(volts, condition=conditions))
     assert amplitudes.amplitude_of(amplitudes.mean_power())[0, 0] == pytest.approx(1.0, abs=0.1)
     assert not any("dead in every" in remark for remark in amplitudes.remarks)
+
+
+def test_emg_of_two_people_and_of_another_person_is_refused():
+    recording = recorded(noise((2, 2, 20_000)))
+    two = recording.assign_coords(subject=("trial", ["A", "B"]))
+    with pytest.raises(ValueError, match=r"envelopes: EMG of A, B; expected one person's"):
+        envelopes(two)
+    amplitudes = envelopes(recording)
+    assert amplitudes.rows("A", "RT7.5", 2).tolist() == [0, 1]
+    with pytest.raises(ValueError, match=r"it is A's, the other signals B's"):
+        amplitudes.rows("B", "RT7.5", 2)
