@@ -94,7 +94,7 @@ def test_existing_outputs_are_replaced_only_where_that_is_asked_for(folder, caps
 )
 def test_results_are_replaced_only_where_that_is_asked_for(folder, capsys, monkeypatch, module, options, names):
     monkeypatch.chdir(folder)
-    shutil.copy(RELAX, "lab.nc")
+    save_recording(load_recording(RELAX).isel(trial=[0]), "lab.nc")
     POSITION.save("person.toml")
     for name in names.split():
         (folder / "mine" / name).parent.mkdir(parents=True)
