@@ -1,11 +1,11 @@
-"""What EMG adds to a nonlinear fit: errors of reflexes and of the muscle law with and without it, and their intervals.
+"""What EMG adds to a nonlinear fit: errors of reflexes and of the muscle law with and without it.
 
 Run `python -m benchmarks.emg_nonlinear [--people N] [--first N] [--seed N] [--alone]`; some two minutes of a core per
 person, three with `--alone`. Nonlinear people of the position task go through the trials of PT2.5, PT7.5 and PT22.5 and
 a maximal contraction. The full law is fitted with free delays to movement and EMG, with `--alone` to the movement as
 well. Printed are, person by person, each reflex parameter with its truth, the standard error of its coordinate
-(`nonlinear.model`) and the error over it; in the end how many errors are within 1.96 standard errors, and the median ratio of
-standard errors with EMG over those without.
+(`nonlinear.model`) and the error over it; in the end how many errors are within 1.96 standard errors, and the median
+ratio of standard errors with EMG over those without.
 """
 
 import argparse
@@ -71,7 +71,7 @@ def main(arguments: Sequence[str] = ()) -> None:
             ]
             held, rms = 100.0 * np.mean(np.abs(off) < 1.96), np.sqrt(np.mean(np.square(off)))
             print(
-                f"{use}, {what}: {held:.1f} % of {len(off)} errors are within 1.96 standard errors, RMS of errors {rms:.2f}"
+                f"{use}, {what}: {held:.1f} % of {len(off)} errors within 1.96 standard errors, RMS of them {rms:.2f}"
             )
     if options.alone:
         for name in dict.fromkeys(name for _, name in errors):
