@@ -1,6 +1,7 @@
 """A person in one task: the parameters of the linear arm model (thesis 2.7, appendix B)."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
@@ -151,6 +152,23 @@ class Subject(PersonInFile):
                     f"Subject: {field} = {getattr(self, field)!r}; expected at least b_se = {self.b_se!r} with "
                     "shear-thinning damping: below it the single-joint group's own damping is negative and gives energy"
                 )
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any], source: str | None = None) -> Self:
+        """As `PersonInFile.from_dict`, which says nothing of a person per task.
+
+        Raises:
+          ValueError: the values are a table per task, a key is unknown or missing, or a value is refused.
+          TypeError: a value has the wrong type.
+        """
+        of_tasks = [task for task in TASKS if task in values]
+        if of_tasks:
+            raise ValueError(
+                f"{cls.__name__.lower() if source is None else source}: has a table for {' and '.join(of_tasks)}, as "
+                "calibrate writes them; expected the parameters of one task (in Python "
+                f"Subject.from_dict(tomllib.load(open(FILE, 'rb'))[{of_tasks[0]!r}]).save('person.toml'))"
+            )
+        return super().from_dict(values, source)
 
     @property
     def has_extra_inertia(self) -> bool:

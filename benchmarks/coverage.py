@@ -15,7 +15,8 @@ import xarray as xr
 
 from armperturb.analysis.defaults import LINEAR_MODELS
 from armperturb.analysis.fit.identify import identify
-from armperturb.analysis.fit.structures import structure_of, true_values
+from armperturb.analysis.fit.structures import structure_of
+from armperturb.analysis.fit.truth import true_values
 from armperturb.analysis.measures.start_geometry import in_start_geometry
 from armperturb.cohort import Person, draw_person
 from armperturb.environment import Environment

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from armperturb.analysis.fit.group import Group
 from armperturb.analysis.fit.maximum_likelihood import estimate
-from armperturb.analysis.fit.structures import at_truth
+from armperturb.analysis.fit.truth import at_truth
 from armperturb.cohort import draw_subject
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.envs.lab.experiment import run_experiment

@@ -108,6 +108,12 @@ def test_bad_files_are_named(edit, message, tmp_path):
     assert str(tmp_path / "s.toml") in str(caught.value)
 
 
+def test_a_file_of_calibrate_is_named_as_such(tmp_path):
+    (tmp_path / "average.toml").write_text('calibrated = ["2.1"]\n[PT]\nm_h = 2.0\n[RT]\nm_h = 2.0\n')
+    with pytest.raises(ValueError, match=r"has a table for PT and RT, as calibrate writes them; expected .* one task"):
+        Subject.load(tmp_path / "average.toml")
+
+
 def test_name_and_filter_damping_may_be_left_out():
     values = RELAX.to_dict()
     del values["name"], values["zeta_act"]

@@ -9,7 +9,7 @@ from typing import Any, NoReturn, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armperturb.analysis.arm.parameters import PARAMETERS, parameter_vector
+from armperturb.analysis.arm.parameters import PARAMETERS
 from armperturb.arrays import Array
 from armperturb.files import packaged_table
 from armperturb.subject import TASKS, Subject
@@ -393,15 +393,3 @@ def start_in(structure: Structure, task: str) -> Mapping[str, float]:
     if is_published and task != ("RT" if structure.name == "1" else "PT"):
         return neutral_start(structure, task)
     return structure.initial
-
-
-def at_truth(structure: Structure, truth: Subject) -> Structure:
-    """The structure with all that it fixes as it is in an arm."""
-    return structure.fixing(**{name: getattr(truth, name) for name in structure.fixed[truth.task]})
-
-
-def true_values(truth: Subject, structure: Structure) -> Array:
-    """Values of a structure's free parameters that are nearest to an arm, (parameter,), SI."""
-    free = structure.mixing.any(axis=1)
-    others = parameter_vector(truth)[free] - structure.constant(truth.task)[free]
-    return np.asarray(np.linalg.lstsq(structure.mixing[free], others, rcond=None)[0])

@@ -19,7 +19,8 @@ from scipy.fft import irfft, rfft
 
 from armperturb.analysis.arm.linear_arm import total_admittance
 from armperturb.analysis.fit.joint_likelihood import SHARES
-from armperturb.analysis.fit.structures import true_values, unit
+from armperturb.analysis.fit.structures import unit
+from armperturb.analysis.fit.truth import true_values
 from armperturb.analysis.results import Description, Result
 from armperturb.arrays import Array, ComplexArray
 from armperturb.controllers.remnant import HUMAN_NOISE

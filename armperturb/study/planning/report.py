@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from armperturb.analysis.defaults import SETTLING, WINDOW_START
+from armperturb.analysis.fit.truth import departures
 from armperturb.analysis.results import Description, Table
 from armperturb.arrays import Array
 from armperturb.files import require_no_input, write_csv, write_whole
@@ -86,7 +87,9 @@ def describe(design: Design) -> Description:
             f"period {settings.period:g} s, for which there is time: identify with --period {settings.period:g} "
             f"--window-start {settings.start:g}"
         )
-    worse = design.factors[other] > 1.0
+    remarks = departures(settings.structure(), settings.subject)
+    if design.factors[other] > 1.0:
+        remarks = (f"the optimised multisine is worse than the thesis's {LAWS[other]}", *remarks)
     return Description(
         title=f"Design for {settings.subject.name!r} ({settings.subject.task}), model {settings.model_name()}, goal "
         f"{settings.goal}: {settings.trials} trial{'' if settings.trials == 1 else 's'} of {settings.duration:g} s, "
@@ -96,7 +99,7 @@ def describe(design: Design) -> Description:
             f"{design.factor**-2:.1f} times as many trials; {design.factors[other]:.2f} {LAWS[other]}",
         ),
         table=Table(("parameter", "value", "unit", *errors.values(), "ratio", "between trials"), tuple(rows)),
-        remarks=(f"the optimised multisine is worse than the thesis's {LAWS[other]}",) if worse else (),
+        remarks=remarks,
         details=tuple(details),
     )
 
@@ -238,5 +241,6 @@ def _write_settings(design: Design, path: Path) -> None:
         "factor_noise_held": design.factors["held"],
         "factor_noise_follows": design.factors["follows"],
         "excess": design.excess,
+        "remarks": describe(design).remarks,
     }
     write_whole(path, json.dumps(made, indent=1, ensure_ascii=False) + "\n")

@@ -10,6 +10,7 @@ from typing import Any
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullLocator
 
+from armperturb.analysis.fit.truth import departures
 from armperturb.analysis.results import Description, Table, plain
 from armperturb.files import write_csv, write_whole
 from armperturb.plots.style import GREY, INK, PUBLISHED, figure_for, in_style, save_plot
@@ -81,6 +82,7 @@ def describe(validation: Validation) -> Description:
             "share of the 95 % intervals that hold the true value [%]",
         ),
         table=Table(tuple(header), tuple(rows)),
+        remarks=departures(validation.settings.structure(), validation.settings.truth()),
         details=(*summary.lines(), "flagged: the estimator itself reports a lack of fit"),
     )
 
@@ -151,5 +153,6 @@ def write_validation(validation: Validation, folder: Path) -> None:
         "versions": {name: importlib.metadata.version(name) for name in ("armperturb", "mujoco", "numpy", "scipy")},
         "settings": {**asdict(settings), "subject": settings.subject and str(settings.subject)},
         "truth": asdict(settings.truth()),
+        "remarks": departures(settings.structure(), settings.truth()),
     }
     write_whole(folder / "settings.json", json.dumps(made, indent=1, ensure_ascii=False) + "\n")

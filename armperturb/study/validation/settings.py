@@ -4,10 +4,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, get_args
 
+from armperturb.analysis.arm.linear_arm import LinearArm
+from armperturb.analysis.arm.parameters import parameter_vector
 from armperturb.analysis.defaults import Estimator
-from armperturb.analysis.fit.structures import STRUCTURES, Structure, at_truth, true_values, unit
+from armperturb.analysis.fit.joint_likelihood import require_informative
+from armperturb.analysis.fit.structures import STRUCTURES, Structure, unit
 from armperturb.analysis.fit.thesis import MODEL_3_WIDE
-from armperturb.environment import ENGINES
+from armperturb.analysis.fit.truth import at_truth, true_values
+from armperturb.environment import ENGINES, Environment
+from armperturb.perturbations import CLUSTERS
+from armperturb.perturbations.multisine import PERIOD
 from armperturb.subject import POSITION, RELAX, TASKS, Subject
 from armperturb.validation import require_one_of, require_ranges
 
@@ -92,7 +98,8 @@ class ValidateSettings:
         """What is fitted: the model, with what it fixes at the truth but for what is wrong on purpose.
 
         Raises:
-          ValueError: as `truth`; or the truth is outside the model's bounds, or what is to be wrong has no effect.
+          ValueError: as `truth`; or the truth is outside the model's bounds, or does not determine its parameters, or
+            what is to be wrong has no effect.
         """
         truth, structure = self.truth(), STRUCTURES[self.model]
         wide = {
@@ -101,6 +108,7 @@ class ValidateSettings:
             if name.startswith(("Td_", "fact_"))
         }
         structure = at_truth(structure.freeing(**wide), truth)
+        self._require_determined(structure, truth)
         if self.wrong == "delay":
             if not any(getattr(truth, f"{gain}_{joint}") for gain in ("kv", "kp", "ka") for joint in ("s", "se", "e")):
                 raise ValueError(
@@ -119,3 +127,16 @@ class ValidateSettings:
                     f"the bounds of model {self.model}"
                 )
         return structure.named(self.model)
+
+    def _require_determined(self, structure: Structure, truth: Subject) -> None:
+        """Refuse a model with parameters of which no movement of the person tells: none has a bound or an error."""
+        arm, n_free = LinearArm(truth, CLUSTERS.ravel() / PERIOD), len(structure.free)
+        gradient = arm.total_and_gradient(parameter_vector(truth), Environment())[1] @ structure.mixing
+        slopes = gradient.reshape(-1, n_free)
+        try:
+            require_informative((slopes.conj().T @ slopes).real, structure.free)
+        except ValueError as error:
+            raise ValueError(
+                f"validate: model = {self.model!r} for {truth.name!r}: {error}, as in --model 3b, or another person "
+                "(--subject)"
+            ) from None

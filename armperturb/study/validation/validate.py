@@ -15,11 +15,14 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import stats
 
+from armperturb.analysis.arm.parameters import parameter_vector
 from armperturb.analysis.defaults import Estimator
 from armperturb.analysis.fit.group import Group, Method
 from armperturb.analysis.fit.maximum_likelihood import estimate
-from armperturb.analysis.fit.structures import Structure, at_truth, true_values, unit
+from armperturb.analysis.fit.structures import Structure, unit
 from armperturb.analysis.fit.thesis import fit_trials
+from armperturb.analysis.fit.trial_effects import inverse
+from armperturb.analysis.fit.truth import true_values
 from armperturb.analysis.results import Description, Result
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
@@ -188,7 +191,8 @@ def validate(settings: ValidateSettings, *, workers: int | None = None, show_pro
 
     Raises:
       TypeError: settings are no `ValidateSettings`, or workers is not a number.
-      ValueError: subject, structure or workers are refused, or the arm is unstable.
+      ValueError: subject, structure or workers are refused, the person does not determine the structure's parameters,
+        or the arm is unstable.
       OSError: the subject's file cannot be read.
     """
     require_type("validate: settings", settings, ValidateSettings, "ValidateSettings")
@@ -237,9 +241,9 @@ def run_group(settings: ValidateSettings, number: int) -> tuple[int, dict[Estima
     trials = ConditionTrials.prepare(recording, is_checked=True)
     group = Group.prepare(trials, structure)
     values = true_values(truth, structure)
-    right = at_truth(structure, truth).parameters(truth.task, values)
-    group.records[0].weigh(right)
-    information = group.records[0].normal(right, structure.mixing).information
+    arm = parameter_vector(truth)
+    group.records[0].weigh(arm)
+    information = group.records[0].normal(arm, structure.mixing).information
     judged = {
         name: _by_thesis(trials, structure, values) if name == "thesis" else _by_likelihood(group, name, values)
         for name in settings.estimators
@@ -256,7 +260,7 @@ def collect(settings: ValidateSettings, results: Sequence[tuple[int, dict[Estima
         settings=settings,
         names=structure.free,
         truth=true_values(settings.truth(), structure),
-        bound=np.sqrt(np.diag(np.linalg.inv(information))),
+        bound=np.sqrt(np.diag(inverse(information))),
         judged={name: tuple(judged[name] for _, judged, _ in ordered) for name in settings.estimators},
     )
 

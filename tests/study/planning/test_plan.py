@@ -16,7 +16,8 @@ from armperturb.analysis.fit.group import Group
 from armperturb.analysis.fit.identify import identify
 from armperturb.analysis.fit.likelihood import TAPER
 from armperturb.analysis.fit.maximum_likelihood import estimate
-from armperturb.analysis.fit.structures import STRUCTURES, at_truth
+from armperturb.analysis.fit.structures import STRUCTURES
+from armperturb.analysis.fit.truth import at_truth
 from armperturb.analysis.force_balance import EDGE, NoiseLevels
 from armperturb.analysis.results import LINES
 from armperturb.controllers.remnant import HUMAN_NOISE
@@ -24,6 +25,7 @@ from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.trial import Trial
+from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations import CLUSTERS, Multisine, Sampled, line_spectrum, load_perturbation, save_perturbation
 from armperturb.perturbations.line_spectrum import draw_multisine
 from armperturb.perturbations.multisine import PERIOD, PERIOD_SAMPLES
@@ -417,6 +419,17 @@ def test_a_proposal_that_tells_nothing_is_refused():
     still = Sampled(force=np.zeros((6400, 2)), rate=200.0)
     with pytest.raises(ValueError, match="perturbation: "):
         proposed_signal(replace(REFLEX, perturbation=still), np.ones(2))
+
+
+def test_a_person_whom_the_model_cannot_be_is_remarked_upon(plan, tmp_path, blank_pictures):
+    assert plan.describe().remarks == ()
+    person = replace(POSITION, m_h=2.0, k_h=20e3, muscle=MuscleLaw())
+    of_other = replace(plan, settings=replace(REFLEX, subject=person))
+    write_design(of_other, tmp_path)
+    remarks = of_other.describe().remarks
+    assert json.loads((tmp_path / "settings.json").read_text())["remarks"] == list(remarks)
+    starts = ("model 3b is not exact for 'position': m_h", "identify --model 3b fixes k_h", "no model has the [muscle]")
+    assert all(remark.startswith(start) for remark, start in zip(remarks, starts, strict=True))
 
 
 def test_what_cannot_be_told_is_named():

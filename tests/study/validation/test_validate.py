@@ -5,12 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from armperturb.analysis.fit.structures import true_values
+from armperturb.analysis.fit.truth import true_values
 from armperturb.analysis.results import LINES
 from armperturb.cli import main
 from armperturb.plots.style import new_figure
-from armperturb.study.validation.report import title
-from armperturb.study.validation.validate import Judged, ValidateSettings, Validation, simulate_group, validate
+from armperturb.study.validation.report import title, write_validation
+from armperturb.study.validation.validate import (
+    Judged,
+    ValidateSettings,
+    Validation,
+    run_group,
+    simulate_group,
+    validate,
+)
 from armperturb.subject import POSITION
 
 RECORD = ValidateSettings(groups=10, trials=1, estimators=("record",))
@@ -187,6 +194,36 @@ def test_a_person_beyond_the_bounds_of_the_model_is_refused(tmp_path):
     replace(POSITION, k_s=1500.0, name="stiff").save(tmp_path / "stiff.toml")
     with pytest.raises(ValueError, match="k_s = 1500 Nm/rad in 'stiff'; expected 0 to 1000"):
         validate(ValidateSettings(subject=tmp_path / "stiff.toml"), workers=1)
+
+
+@pytest.mark.parametrize(
+    ("task", "model", "reason"),
+    [
+        *(("RT", model, "Td_s, Td_e, fact_s, fact_e cannot be identified") for model in "23456"),
+        *(("PT", model, r"cannot be identified: a change of .* ka_s .* Td_e") for model in "56"),
+    ],
+)
+def test_a_model_that_the_person_does_not_determine_is_refused_before_anything_is_simulated(task, model, reason):
+    settings = ValidateSettings(task=task, model=model, groups=100_000)
+    with pytest.raises(ValueError, match=f"validate: model = '{model}' for .*{reason}.*as in --model 3b"):
+        validate(settings, workers=1, show_progress=False)
+
+
+def test_the_bound_of_what_a_model_leaves_out_is_that_of_the_person():
+    settings = replace(RECORD, groups=1, estimators=("frequency",))
+    whole, part = (replace(settings, model=model) for model in ("3", "1"))
+    kept = [whole.structure().free.index(name) for name in part.structure().free]
+    information, of_part = (run_group(each, 0)[2] for each in (whole, part))
+    np.testing.assert_allclose(of_part, information[np.ix_(kept, kept)], rtol=1e-6)
+
+
+def test_a_person_whom_the_model_cannot_be_is_remarked_upon(tmp_path):
+    found = replace(hand_made(judged([11.0, 0.0])), settings=replace(RECORD, groups=1, model="1"))
+    assert "- model 1 leaves out kv, kp of 'position'" in found.summary()
+    write_validation(found, tmp_path)
+    (remark,) = json.loads((tmp_path / "settings.json").read_text())["remarks"]
+    assert remark.startswith("model 1 leaves out kv, kp of 'position'")
+    assert "Remarks" not in hand_made(judged([11.0, 0.0])).summary()
 
 
 def test_no_wrong_delay_where_nothing_is_delayed():
