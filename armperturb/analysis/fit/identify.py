@@ -22,7 +22,7 @@ from armperturb.analysis.fit.maximum_likelihood import Estimate, estimate
 from armperturb.analysis.fit.own_structures import composed
 from armperturb.analysis.fit.structures import Structure, is_published, structure_of, unit
 from armperturb.analysis.fit.thesis import ThesisEstimate, fit_trials
-from armperturb.analysis.fit.use_emg import UseOfEmg
+from armperturb.analysis.fit.use_emg import UseOfEmg, told_without_emg
 from armperturb.analysis.measures.endpoint import EndpointImpedance
 from armperturb.analysis.measures.start_geometry import in_start_geometry
 from armperturb.analysis.measures.vaf import prediction_vaf
@@ -335,7 +335,7 @@ def identify_conditions(
                 group.label: replace(_likely_fit(joint, group, group.spectra), trials=group.parts) for group in groups
             }
         if emg:
-            fits = {label: _told_without_emg(fit) for label, fit in fits.items()}
+            fits = {label: told_without_emg(fit) for label, fit in fits.items()}
     return Identifications(
         {
             label: Identification(
@@ -350,14 +350,6 @@ def identify_conditions(
             for label, fit in fits.items()
         }
     )
-
-
-def _told_without_emg(fit: ArmFit) -> ArmFit:
-    """A fit with a remark if it has no gains of EMG (`EmgLikelihood.names`)."""
-    if any(name.startswith("g_") for name in fit.values):
-        return fit
-    remark = f"EMG is not used: model {fit.structure} has no reflexes, of which it tells; the movement alone is used"
-    return replace(fit, remarks=(*fit.remarks, remark))
 
 
 def _only(parts: Sequence[ConditionTrials]) -> ConditionTrials:

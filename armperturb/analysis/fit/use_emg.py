@@ -1,12 +1,13 @@
 """EMG in fits of arms: which trials have it, and what cannot be done with it."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from armperturb.analysis.arm.parameters import MATRIX
 from armperturb.analysis.emg.envelope import Envelopes
 from armperturb.analysis.emg.outputs import reflex_outputs
+from armperturb.analysis.fit.arm_fit import ArmFit
 from armperturb.analysis.fit.emg_likelihood import FEEDBACK, ElectromechanicalDelay, EmgLikelihood
 from armperturb.analysis.fit.group import Group
 from armperturb.analysis.trials import ConditionTrials
@@ -60,3 +61,11 @@ class UseOfEmg:
         if not any(acts[MATRIX[name]].any() for name in FEEDBACK):
             return group
         return group.with_emg(EmgLikelihood(reflex_outputs(recorded, self.envelopes), self.delay))
+
+
+def told_without_emg(fit: ArmFit) -> ArmFit:
+    """A fit with a remark if it has no gains of EMG (`EmgLikelihood.names`)."""
+    if any(name.startswith("g_") for name in fit.values):
+        return fit
+    remark = f"EMG is not used: model {fit.structure} has no reflexes, of which it tells; the movement alone is used"
+    return replace(fit, remarks=(*fit.remarks, remark))

@@ -46,6 +46,9 @@ _TABLES = packaged_table(__package__, "parameters.toml")
 BOUNDS: Mapping[str, tuple[float, float]] = {name: (low, high) for name, (low, high) in _TABLES["bounds"].items()}
 """Of each parameter, in its `unit`; a group's stands for its three elements."""
 
+ROUNDING = 1e-12
+"""Share of a value that the coordinates may round it by [-]."""
+
 LEAST_THINNING = 0.02
 """Least damping of a group that is shear-thinning [Nms/rad]."""
 
@@ -186,7 +189,7 @@ def person(
     for group in EFFECTS[body.task]:
         factor = math.exp(effects.get(group, 0.0))
         s, se, e = (factor * values[f"{group}.{element}"] for element in ELEMENTS)
-        changes |= {f"{group}_s": s + se, f"{group}_se": se, f"{group}_e": e + se}
+        changes |= {f"{group}_s": _sum(s, se), f"{group}_se": se, f"{group}_e": _sum(e, se)}
     for name, default in FIXED.items():
         changes |= dict.fromkeys((f"{name}_s", f"{name}_e"), values.get(name, default))
     for quantity in ("ka", "kf") if body.task == "PT" else ("kv", "kp", "ka", "kf"):
@@ -202,6 +205,12 @@ def person(
     subject = replace(body, **changes)
     level = values.get(f"level.{condition}", 1.0)
     return subject if level == 1.0 else at_level(subject, level)
+
+
+def _sum(single: float, both: float) -> float:
+    """What a joint has of single-joint and two-joint muscles; zero where rounding alone keeps it from that."""
+    joint = single + both
+    return 0.0 if abs(joint) < ROUNDING * abs(both) else joint
 
 
 def true_values(subject: Subject, levels: Mapping[str, float]) -> dict[str, float]:

@@ -194,7 +194,8 @@ class Problem(SimulatedTrials):
         """`reflex_values` of all trials, (trial, value); of none without EMG."""
         if self._emg.is_empty:
             return np.zeros((self.n_trials, N_REFLEX))
-        return np.array([reflex_values(subject) for subject in self.subjects(state)])
+        bodies = [self.parameters.bodies[task] for task in self.tasks]
+        return np.array([reflex_values(each or body) for each, body in zip(self.subjects(state), bodies, strict=True)])
 
     def prior(self, state: State) -> Array:
         """Information in the prior, (unknown,)."""

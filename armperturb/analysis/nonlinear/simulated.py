@@ -19,7 +19,7 @@ from armperturb.analysis.nonlinear.model import EFFECTS, Parameters, person
 from armperturb.analysis.nonlinear.noise import Noise, NoiseDraws
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array, Indices
-from armperturb.planar_arm.lanes import divisions, lane_table
+from armperturb.planar_arm.lanes import Table, divisions, lane_table
 from armperturb.planar_arm.simulation import Disturbances
 from armperturb.subject import Subject
 
@@ -171,16 +171,27 @@ class SimulatedTrials:
         is_inside = state.point + COORDINATE_STEP <= self.parameters.upper
         return np.where(is_inside, COORDINATE_STEP, -COORDINATE_STEP)
 
-    def subjects(self, state: State, trials: Indices | None = None) -> list[Subject]:
-        """The person in each of some trials, by default all."""
+    def subjects(self, state: State, trials: Indices | None = None) -> list[Subject | None]:
+        """The person in each of some trials, by default all; None where values make none, as of negative stiffness."""
         bodies, model = self.parameters.bodies, self.parameters.model
         values = {task: self.parameters.values(task, state.point) for task in bodies}
         people = []
         for trial in range(self.n_trials) if trials is None else trials.tolist():
             task = self.tasks[trial]
             effects = dict(zip(EFFECTS[task], state.effects[self.effects_of[trial]].tolist(), strict=True))
-            people.append(person(bodies[task], model.law, values[task], self.conditions[trial], effects, model.parts))
+            try:
+                subject = person(bodies[task], model.law, values[task], self.conditions[trial], effects, model.parts)
+            except ValueError:
+                subject = None
+            people.append(subject)
         return people
+
+    def _lanes(self, people: Sequence[Subject | None], trials: Indices, timestep: float) -> Table:
+        """Of people in some trials, again and again; where there is nobody, of what stands in for them."""
+        bodies = itertools.cycle([self.parameters.bodies[self.tasks[trial]] for trial in trials])
+        simulated = [each or body for each, body in zip(people, bodies, strict=False)]
+        environments = [self._environments[trial] for trial in trials] * (len(people) // len(trials))
+        return lane_table(simulated, environments, timestep)
 
     def _responses(
         self,
@@ -205,24 +216,27 @@ class SimulatedTrials:
           displacement [m], (place, time, axis).
         """
         trials = np.arange(self.n_trials) if trials is None else trials
-        subjects = [subject for state in states for subject in self.subjects(state, trials)]
-        environments = [self._environments[trial] for trial in trials]
-        lanes = lane_table(subjects, environments * len(states), disturbed[0].timestep)
-        of_lane = np.tile(trials, len(states))
-        known: dict[tuple[int, bytes], int] = {}
-        keys = zip(of_lane.tolist(), (lane.tobytes() for lane in lanes), strict=True)
+        people = [each for state in states for each in self.subjects(state, trials)]
+        lanes = self._lanes(people, trials, disturbed[0].timestep)
+        of_lane, is_nobody = np.tile(trials, len(states)), np.array([each is None for each in people])
+        known: dict[tuple[int, bool, bytes], int] = {}
+        keys = zip(of_lane.tolist(), is_nobody.tolist(), (lane.tobytes() for lane in lanes), strict=True)
         place = np.array([known.setdefault(key, len(known)) for key in keys])
         distinct = np.unique(place, return_index=True)[1]
         of_lane = of_lane[distinct]
         place = place.reshape(len(states), len(trials))
-        lanes, laws = lanes[distinct], [subjects[lane].muscle for lane in distinct]
+        lanes, is_nobody = lanes[distinct], is_nobody[distinct]
+        laws = [each.muscle if (each := people[lane]) else None for lane in distinct]
         numbers = range(first, first + len(disturbed))
         tables = (
             divisions(lanes, laws, n_divisions, numbers) if n_divisions > 1 else itertools.repeat(lanes, len(numbers))
         )
-        return place, (
+        simulated = (
             each.responses(table, of_lane, self._ends[of_lane]) for table, each in zip(tables, disturbed, strict=True)
         )
+        if not is_nobody.any():
+            return place, simulated
+        return place, (np.where(is_nobody[:, None, None], np.nan, of_lanes) for of_lanes in simulated)
 
     def predict(
         self,
@@ -297,7 +311,7 @@ class SimulatedTrials:
         n, n_second = self.perturbation.shape[1], round(self._rate)
         followed = np.pad(self.perturbation, ((0, 0), (0, round(REST * self._rate)), (0, 0)))
         disturbances = Disturbances(followed, self._rate, self._threads)
-        lanes = lane_table(self.subjects(state), self._environments, disturbances.timestep)
+        lanes = self._lanes(self.subjects(state), np.arange(self.n_trials), disturbances.timestep)
         displacement = disturbances.responses(lanes, np.arange(self.n_trials))
         speed = np.linalg.norm(np.diff(displacement, axis=1), axis=2)
         last = np.sqrt(np.mean(speed[:, -n_second:] ** 2, axis=1))

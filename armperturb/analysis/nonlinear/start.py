@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from armperturb.analysis.defaults import LINEAR_MODELS, WINDOW_START
-from armperturb.analysis.fit.identify import identify_conditions
+from armperturb.analysis.fit.identify import Identification, identify_conditions
+from armperturb.analysis.fit.maximum_likelihood import Estimate
 from armperturb.analysis.fit.structures import structure_of
 from armperturb.analysis.nonlinear.model import QUANTITIES, Parameters, bounds, coordinate, stem
 from armperturb.analysis.nonlinear.problem import Problem
@@ -39,6 +40,12 @@ TRIED: Mapping[str, tuple[float, ...]] = {
 
 TRIED_LEVELS = (0.3, 0.45, 0.65, 1.0, 1.5)
 """Levels of co-contraction that are tried in each condition; from one far too high, a search does not find back."""
+
+FREER: Mapping[str, str] = {"PT": "3"}
+"""Task to the structure of the start where that of `LINEAR_MODELS` is far from the trials: its grip is free."""
+
+FAR = 4.0
+"""Chi-squared over degrees of freedom of a linear arm from which on it is far from the trials [-]."""
 
 SHORTEST = 10.0
 """Length of a trial from which a linear arm is identified where the perturbation does not repeat [s]."""
@@ -77,9 +84,18 @@ def linear_arms(
             )
         parts = {label: (trials,) for label, trials in wide.items()}
         structure = structure_of(LINEAR_MODELS[task])
-        results = identify_conditions(parts, structure, window_start=window_start, period=period)
+        results = dict(identify_conditions(parts, structure, window_start=window_start, period=period))
+        if task in FREER and max(map(_distance, results.values())) > FAR:
+            freer = identify_conditions(parts, structure_of(FREER[task]), window_start=window_start, period=period)
+            results = {label: min(result, freer[label], key=_distance) for label, result in results.items()}
         arms |= {label: result.fit.arm for label, result in results.items()}
     return arms
+
+
+def _distance(result: Identification) -> float:
+    """Chi-squared over degrees of freedom of a fit by maximum likelihood [-]."""
+    assert isinstance(result.fit.detail, Estimate)
+    return result.fit.detail.chi2 / result.fit.detail.dof
 
 
 def _needed(conditions: Sequence[ConditionTrials], window_start: float, period: float | None) -> float:
@@ -131,6 +147,9 @@ def start_values(
             initial[f"elastic_limit_deg.{element}"] = 1.0
             for group in ("kv", "kp"):
                 initial[f"{group}.{element}"] = groups[group][:, i].mean()
+        for element in ("shoulder", "elbow"):  # joints of no stiffness are at the edge of those that there are
+            k = f"k.{element}"
+            initial[k] = max(initial[k], LEAST["k"] - initial["k.two-joint"])
         initial |= {"Td": of_task[0].Td_s, "fact": of_task[0].fact_s, "elastic_limit_spread": 0.5, **USUAL[task]}
         for name in parameters.names:
             bare = name.removesuffix(f" [{task}]")

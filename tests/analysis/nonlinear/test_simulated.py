@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from armperturb.analysis.nonlinear.estimate import free_parameters
-from armperturb.analysis.nonlinear.model import Model, true_values
+from armperturb.analysis.nonlinear.model import Model, coordinate, true_values
 from armperturb.analysis.nonlinear.problem import Problem
 from armperturb.analysis.nonlinear.simulated import COORDINATE_STEP, SMOOTHED, State
 from armperturb.cohort import average_person
@@ -46,3 +46,20 @@ def test_derivatives_are_those_of_the_mean_and_smooth(at_truth):
     here, there = problem.predict([state, state._replace(point=state.point + COORDINATE_STEP * along)], alike)
     found = [of_trial[int(np.argmax(along))] for of_trial in problem.derivatives(state, smooth=True)]
     np.testing.assert_allclose(found, (there - here) / COORDINATE_STEP, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.slow(reason="simulates")
+def test_where_there_is_no_such_person_a_search_turns_back(at_truth):
+    problem, state = at_truth
+    place = problem.parameters.names.index("k.shoulder")
+    nobody = state.point.copy()
+    nobody[place] = coordinate("k.shoulder", -2.0 * TRUE["k.two-joint"])  # of the joint, less than nothing is left
+    here, there = problem.predict([state, state._replace(point=nobody)])
+    assert problem.subjects(state._replace(point=nobody)) == [None, None]
+    assert np.isnan(there).all()
+    np.testing.assert_array_equal(here, problem.predict([state])[0])
+    assert problem.cost(state._replace(point=nobody), there) == np.inf
+    assert np.isfinite(problem.cost(state, here))
+    edge = state.point.copy()
+    edge[place] = coordinate("k.shoulder", -TRUE["k.two-joint"])
+    assert {person.k_s for person in problem.subjects(state._replace(point=edge))} == {0.0}
