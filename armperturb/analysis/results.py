@@ -258,10 +258,16 @@ def plain(value: float, digits: int = 4) -> str:
 
 def plain_limits(lower: float, upper: float, digits: int = 4) -> str:
     """Both limits of an interval with about so many significant digits, or more if its width shows only then."""
-    if lower < upper and math.isfinite(upper - lower):
-        power, of_width = (math.floor(math.log10(each)) for each in (max(abs(lower), abs(upper)), upper - lower))
-        digits = max(digits, power - of_width + 2)
+    digits = digits_within(lower, upper, digits)
     return f"{plain(lower, digits)} to {plain(upper, digits)}"
+
+
+def digits_within(lower: float, upper: float, digits: int = 4) -> int:
+    """So many significant digits, or as many as show the width of an interval."""
+    if not (lower < upper and math.isfinite(upper - lower)):
+        return digits
+    power, of_width = (math.floor(math.log10(each)) for each in (max(abs(lower), abs(upper)), upper - lower))
+    return max(digits, power - of_width + 2)
 
 
 def _wrapped(lines: Iterable[str]) -> list[str]:

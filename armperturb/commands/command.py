@@ -58,6 +58,8 @@ def command_line(command: Command) -> str:
         option = option_name(field.name, get_type_hints(type(command), include_extras=True)[field.name])
         if option is not None:
             words.append(option)
+        if value is True:  # an option without a value
+            continue
         words += [f"{each}" for each in (value if isinstance(value, tuple) else (value,))]
     return shlex.join(words)
 

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from armperturb.plots.style import GREY, colours_for, figure_for, in_style
-from armperturb.recording import SIGNALS, check_recording, is_one_axis
+from armperturb.recording import QUANTITIES, SIGNALS, check_recording, is_one_axis
 
 SHOWN = {
     "perturbation": ("perturbation", 1.0, "N"),
@@ -38,8 +38,8 @@ def plot_recording(
       figure: where to draw; its height is set. None makes a new one of pyplot.
 
     Returns:
-      Axes, (signal, 2): along x and y, and of joint angles shoulder and elbow; (signal, 1) of one axis. A dotted
-      line is the onset of a pulse.
+      Axes, (signal, 2): along x and y, and of joint angles shoulder and elbow; (signal, 1) of one axis, each called
+      by its quantity. A dotted line is the onset of a pulse.
 
     Raises:
       ValueError: the recording is refused, or has no such trial.
@@ -59,16 +59,18 @@ def plot_recording(
     axes = figure.subplots(len(names), 1 if is_one_axis(shown) else 2, squeeze=False, sharex=True)
     for row, name in zip(axes, names, strict=True):
         label, factor, unit = SHOWN[name]
+        components = [f"{label}, {component}" for component in shown[SIGNALS[name][0][-1]].values]
         if is_one_axis(shown):
-            factor, unit = SHOWN_UNITS[shown[name].attrs["units"]]
-        components = shown[SIGNALS[name][0][-1]].values
+            measured = shown[name].attrs["units"]
+            factor, unit = SHOWN_UNITS[measured]
+            components = [label if name == "perturbation" else QUANTITIES[measured]]
         for column, (ax, component) in enumerate(zip(row, components, strict=True)):
             for values, condition in zip(shown[name].values, shown["condition"].values.tolist(), strict=True):
                 time, look = shown["time"].values, {"linewidth": 0.8, "alpha": alpha}
                 ax.plot(time, factor * values[:, column], color=colours[condition], **look)
             for onset in np.unique(shown["pulse_onset"].values[np.isfinite(shown["pulse_onset"].values)]):
                 ax.axvline(onset, color=GREY, linewidth=0.8, linestyle=":", zorder=0.5)
-            ax.set_title(f"{label}, {component}", loc="left")
+            ax.set_title(component, loc="left")
         if name != "joint_angle" and len(row) > 1:
             row[1].sharey(row[0])
             row[0].autoscale()

@@ -4,6 +4,7 @@ import io
 import json
 import os
 import resource
+import shlex
 import sys
 import time
 
@@ -11,6 +12,8 @@ import pytest
 
 from armperturb import cli
 from armperturb.cli import printable
+from armperturb.commands.command import command_line
+from armperturb.commands.identify import Identify
 from armperturb.files import read_toml, write_csv
 from armperturb.plots.panels import legend
 from armperturb.plots.style import in_style, new_figure, svg
@@ -136,3 +139,11 @@ def test_a_byte_order_mark_is_no_part_of_toml(tmp_path):
     path.write_text(PROTOCOL % ('"RT7.5"', 2), encoding="utf-8-sig")
     assert read_toml(path, "a = 1")["forces"] == "published"
     assert load_protocol(path).conditions[0].repetitions == 2
+
+
+def test_the_command_that_a_page_shows_can_be_typed(tmp_path, capsys):
+    command = Identify(recordings=(tmp_path / "a b.nc",), out=tmp_path / "o", model="3b", emg=True, overwrite=True)
+    typed = shlex.split(command_line(command))
+    given = ["identify", f"{tmp_path}/a b.nc", "--out", f"{tmp_path}/o", "--model", "3b"]
+    assert typed == ["armperturb", *given, "--emg", "--overwrite"]
+    assert "a b.nc: no such file" in refused(capsys, *typed[1:])

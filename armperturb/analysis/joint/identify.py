@@ -150,7 +150,10 @@ class JointIdentification(FitResult):
             each = ", ".join(f"{name} {share:.1f} %" for name, share in self.held_out.items())
             facts.append(f"VAF after {self.fit_until:g} s, from the input alone: {each}")
         return Description(
-            title=f"Joint of {self.label}" + (f" ({self.joint})" if self.joint else "") + f", {self.servo} servo",
+            title=("Joint" if self.angular else "One direction")
+            + f" of {self.label}"
+            + (f" ({self.joint})" if self.joint else "")
+            + f", {self.servo} servo",
             facts=tuple(facts),
             table=parameter_table(self.to_frame()),
             remarks=self.remarks,

@@ -27,7 +27,16 @@ from numpy.typing import ArrayLike
 
 from armperturb.analysis.arm.geometry import hand_jacobian, segment_inertias
 from armperturb.analysis.arm.parameters import GROUPS, MATRIX, PARAMETERS, parameter_vector
-from armperturb.analysis.results import Description, Interval, Result, Table, plain, plain_limits, quantile
+from armperturb.analysis.results import (
+    Description,
+    Interval,
+    Result,
+    Table,
+    digits_within,
+    plain,
+    plain_limits,
+    quantile,
+)
 from armperturb.arrays import Array
 from armperturb.subject import Subject
 
@@ -380,7 +389,7 @@ def _propagated(slope: Array, covariance: Array) -> Array:
 
 def _with_limits(value: float, limits: Interval) -> str:
     known = "" if math.isnan(limits.lower) else f" ({plain_limits(*limits, 3)})"
-    return f"{plain(value, 3)}{known}"
+    return f"{plain(value, digits_within(*limits, 3))}{known}"
 
 
 def _limits(value: Array | float, half: Array) -> tuple[Array, Array]:

@@ -96,11 +96,11 @@ def joint_verdict(result: JointIdentification) -> Verdict:
     there is to say.
     """
     lack, vaf = result.lack_of_fit, result.vaf["total"]
-    ahead, explained = 0.0, ""
+    ahead, explained, resisting = 0.0, "", "torque" if result.angular else "force"
     if result.free_model is not None:
         ahead = result.free_model.left_out_vaf - vaf
         explained = (
-            f"The parallel cascade accounts for {vaf:.1f} % of the torque's variance, a free model for "
+            f"The parallel cascade accounts for {vaf:.1f} % of the {resisting}'s variance, a free model for "
             f"{result.free_model.left_out_vaf:.1f} % of it on left-out data."
         )
     lacking = ""

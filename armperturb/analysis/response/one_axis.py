@@ -96,7 +96,9 @@ class AxisResponse(FrequencyResponse):
     def sentence(self) -> str:
         """Whether the limb is linear."""
         most = int(np.argmax(self.distortion))
-        where = f"at most {max(self.distortion[most], 0.0):.1%} of the torque's power, at {self.frequency[most]:.3g} Hz"
+        whose = "torque" if "rad" in self.units else "force"
+        share, frequency = max(self.distortion[most], 0.0), self.frequency[most]
+        where = f"at most {share:.1%} of the {whose}'s power, at {frequency:.3g} Hz"
         return f"distortion that follows the modulus of the velocity: {where} (p = {self.p_linear:.2g} if linear)"
 
     def to_frame(self) -> "pd.DataFrame":

@@ -1,5 +1,6 @@
 """Impedance at the hand against formulas of its own, against a static arm, and against drawn parameters."""
 
+import re
 from dataclasses import replace
 
 import matplotlib
@@ -247,3 +248,11 @@ def test_inertia_at_a_right_angle_does_not_tell_that_of_other_postures():
 def test_a_force_that_is_none_is_refused(force):
     with pytest.raises(ValueError, match="expected two finite numbers"):
         endpoint_impedance(POSITION, NOTHING, force=force)
+
+
+def test_a_value_has_the_digits_of_its_limits():
+    exact = endpoint_impedance(POSITION, np.diag((1e-5 * parameter_vector(POSITION)) ** 2), condition="PT7.5")
+    written = re.findall(r"([-+.e\d]+) \(([-+.e\d]+) to ([-+.e\d]+)\)", exact.summary())
+    assert len(written) == 12
+    for value, lower, upper in written:
+        assert float(lower) < float(value) < float(upper)

@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import armperturb
 from armperturb.analysis.fit.whittle import LackOfFit
 from armperturb.analysis.joint.identify import identify_joint
 from armperturb.analysis.page.joint_page import joint_verdict, write_joint_page
 from armperturb.analysis.page.page import Origin
+from armperturb.plots.style import new_figure
 from armperturb.recording import make_recording
 
 RATE = 200
@@ -111,3 +113,25 @@ def test_the_page_of_a_rejected_joint_points_to_no_list_of_causes(result, tmp_pa
     page = (tmp_path / "identify.html").read_text()
     assert "Do not trust the parameters." in page
     assert "names likely causes" not in page
+
+
+def test_a_page_tells_of_what_the_fit_has(result, tmp_path):
+    notes = ("my_file/x.json: a note", "noise was left out")
+    origin = Origin(command="", files={}, notes=notes, window_start=8.0, period=None)
+    write_joint_page(result, tmp_path / "joint.html", origin)
+    text = (tmp_path / "joint.html").read_text(encoding="utf-8")
+    assert "torque of each path" in text
+    assert "log-likelihood as the delay" not in text
+    assert "ends what was fitted" not in text
+    assert "<li>my_file/x.json: a note.</li>" in text
+    assert "<li>Noise was left out.</li>" in text
+    direction = replace(result, angular=False)
+    assert direction.summary().startswith("One direction of S")
+    write_joint_page(direction, tmp_path / "direction.html", origin)
+    assert "force of each path" in (tmp_path / "direction.html").read_text(encoding="utf-8")
+
+
+def test_a_plot_calls_signals_of_a_joint_by_their_quantities():
+    axes = armperturb.plot(trials(TONES), figure=new_figure(1.0))
+    assert [ax.get_title(loc="left") for ax in axes[:, 0]] == ["torque", "angle"]
+    assert [ax.get_ylabel() for ax in axes[:, 0]] == ["[Nm]", "[deg]"]
