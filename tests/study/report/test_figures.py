@@ -414,7 +414,7 @@ def test_joint_rotations_and_their_peaks():
     recording = pulsed(POSITION, "PT0", angles=np.stack([angles, -angles]))
     right, left = trajectory_figures.joint_rotations(recording).axes
     for ax, sign in ((left, 1), (right, -1)):
-        drawn = [line for line in ax.lines if line.get_color() != TRUE["color"] and len(line.get_xdata()) > 1]
+        drawn = [line for line in ax.lines if line.get_color() != TRUE["color"] and len(line.get_xdata()) > 2]
         assert drawn[0].get_xdata() == pytest.approx(1e3 * since[190:301])
         for line, joint in zip(drawn, range(2), strict=True):
             assert line.get_ydata() == pytest.approx(sign * np.degrees(angles[190:301, joint]), abs=1e-9)
@@ -422,6 +422,16 @@ def test_joint_rotations_and_their_peaks():
         # Table F.5, PT0, maximum level [degree].
         printed = {round(abs(mean), 1): round(sd, 1) for mean, sd in whiskers(ax, PUBLISHED["color"])}
         assert printed == {11.7: 3.3, 17.2: 5.0}
+
+
+def test_peaks_of_joints_are_those_in_the_window_of_the_table():
+    since = np.arange(600) / RATE - 1.0
+    late = np.where((since > 0) & (since < 0.8), np.sin(np.pi * since / 0.8), 0)
+    angles = np.stack([0.1 * late, -0.3 * late], axis=-1)
+    for subject, condition, peak in ((POSITION, "PT0", 300), (RELAX, "RT0", 400)):
+        recording = pulsed(subject, condition, angles=np.stack([angles, -angles]))
+        for ax in trajectory_figures.joint_rotations(recording).axes:
+            assert texts(ax) == [f"shoulder {peak} ms", f"elbow {peak} ms"]
 
 
 def test_pulse_is_drawn_along_its_direction():
