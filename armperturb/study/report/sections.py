@@ -82,14 +82,15 @@ def sections(
         },
         "method": {},
         "conditions": {"rows": rows["conditions"], "drifting": drifting},
-        "admittance": {"effects": effects, "findings": ratios},
-        "fits": {"summary": rows["summary"], "rows": rows["fits"], "remarks": remarks(study), **flagged},
-        "parameters": {
-            "rows": rows["parameters_summary"],
-            "main": [condition.name for condition in main_conditions(study).values()],
-        },
         "left_out": {"lists": left_out(study, rows["fits"], study.remarks if score is None else score.remarks)},
     }
+    if study.conditions:
+        contexts["admittance"] = {"effects": effects, "findings": ratios}
+        contexts["fits"] = {"summary": rows["summary"], "rows": rows["fits"], "remarks": remarks(study), **flagged}
+        contexts["parameters"] = {
+            "rows": rows["parameters_summary"],
+            "main": [condition.name for condition in main_conditions(study).values()],
+        }
     if study.conditions or played:
         contexts["explorer"] = {"panels": panels(study), "played": played}
     if PULSES_DRAWN & set(drawn):

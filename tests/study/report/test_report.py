@@ -604,6 +604,7 @@ def test_reports_a_study_without_anybody_and_without_a_rig(study, tmp_path, monk
     nobody = replace(study, cases=tuple(replace(case, identification=None) for case in study.cases), people=())
     text = sketch(nobody, tmp_path, figures=("rig", "stills"))
     assert 'Nobody was identified: the section <a href="#left_out">What was left out</a> gives the reasons' in text
+    assert not {"admittance", "parameters", "fits"} & set(Page(text).ids)
     assert "render: no OpenGL context; install &lt;libegl1&gt;" in text
     assert "<libegl1>" not in text
     assert possible_figures(nobody) == {"pulse_signal", "joint_rotations", "trajectories_PT"}
