@@ -16,7 +16,7 @@ from armperturb.analysis.measures.kinematics import hand_position
 from armperturb.cohort import average_person
 from armperturb.environment import Environment
 from armperturb.perturbations import Pulse
-from armperturb.plots.style import COLOURS, GREY, INK, PUBLISHED, SKELETAL, TRUE
+from armperturb.plots.style import COLOURS, GREY, INK, PUBLISHED, SKELETAL, TRUE, new_figure
 from armperturb.recording import make_recording
 from armperturb.recording_files import save_recording
 from armperturb.study.comparison.effects import AdmittanceEffect, Effects
@@ -31,7 +31,7 @@ from armperturb.study.report.figures import rig as rig_figures
 from armperturb.study.report.figures import trajectories as trajectory_figures
 from armperturb.study.report.figures.axes import STARS
 from armperturb.study.report.figures.catalogue import drawings
-from armperturb.study.report.figures.people import PERSON
+from armperturb.study.report.figures.people import PERSON, draw_people, with_margins
 from armperturb.study.report.findings import excess_rows
 from armperturb.subject import POSITION, RELAX
 
@@ -463,6 +463,12 @@ def test_directions_are_drawn_from_the_mean_posture():
     assert "200°, flexes the elbow" in said
 
 
+def test_labels_of_directions_do_not_stand_on_the_axis():
+    (ax,) = perturbation_figures.pulse_directions([POSITION], (0.0, 90.0, 180.0)).axes
+    labels = {text.get_text().split("°")[0]: text for text in ax.texts if "the elbow" in text.get_text()}
+    assert {name: label.get_va() for name, label in labels.items()} == {"0": "bottom", "90": "center", "180": "bottom"}
+
+
 @pytest.mark.parametrize("direction", [20.0, 110.0, 200.0, 290.0])
 def test_an_arrow_of_one_direction_lies_inside(direction):
     figure = perturbation_figures.pulse_directions([POSITION], (direction,))
@@ -519,6 +525,19 @@ def recorded(invented, tmp_path):
     return replace(invented, cases=cases, recordings={"S01": tmp_path / "S01.nc"})
 
 
+def test_one_person_has_whole_marks_and_no_interval_in_the_legend(invented):
+    for names, label in (({"S01"}, "mean over people"), ({"S01", "S02"}, "mean over people, 95 % interval")):
+        people = tuple(person for person in invented.people if person.name in names)
+        figure = pulse_figures.peak_displacement(replace(invented, people=people))
+        assert label in [text.get_text() for text in figure.legends[0].get_texts()]
+    ax = new_figure(3.0).subplots()
+    draw_people(ax, {"PT": {"PT2.5": {"S01": 20.0}, "PT7.5": {"S01": 20.1}}}, logarithmic=False)
+    with_margins(ax)
+    low, high = ax.get_ylim()
+    assert high - 20.1 > 0.03 * (high - low)
+    assert low < 0.0
+
+
 def test_registry_holds_what_the_study_allows(recorded):
     assert drawings(recorded, NOTHING, None).keys() == NAMES | {"pulse_signal", "joint_rotations"}
     cohort = (replace(average_person(), name="S01"),)
@@ -526,6 +545,9 @@ def test_registry_holds_what_the_study_allows(recorded):
     assert drawings(known, NOTHING, None).keys() == NAMES | {"pulse_signal", "joint_rotations", "stills", "rig"}
     of_pulses = {"pulse_signal", "joint_rotations", "stills", "rig"}
     assert drawings(replace(known, cases=(), people=()), NOTHING, None).keys() == of_pulses
+    unpulsed = tuple(replace(c, pulse_levels=()) for c in recorded.protocol.conditions if c.has_multisine)
+    without = replace(recorded, protocol=replace(recorded.protocol, conditions=unpulsed))
+    assert "pulse_directions" not in drawings(without, NOTHING, None)
     nobody = replace(recorded, cases=(), people=(), recordings={})
     assert drawings(nobody, NOTHING, None) == {}
     without_people = drawings(replace(recorded, people=()), NOTHING, None)

@@ -628,7 +628,7 @@ def test_reports_conditions_of_any_name_and_pulses_or_none(study, tmp_path, monk
     text = sketch(renamed, tmp_path, figures=("perturbation", "prediction_PT"))
     assert shown_figures(Page(text)) == {"perturbation", "prediction_PT"}
     assert possible_figures(renamed) == {
-        *("perturbation", "pulse_directions", "admittance_by_task", "gain_linear_scale", "coherence"),
+        *("perturbation", "admittance_by_task", "gain_linear_scale", "coherence"),
         *("findings", "estimates"),
         *(f"{name}_PT" for name in ("admittance", "fit", "prediction", "parameters")),
     }

@@ -25,6 +25,7 @@ def summary(study):
         *("armperturb.study.report", "page.html", {"summary": shown}, WORDS["sections"], {}),
         study=study,
         people=people,
+        intervals="",
     )
     return re.sub(r"\s+", " ", re.sub("<[^>]+>", "", page.split('<section id="summary">')[1]))
 

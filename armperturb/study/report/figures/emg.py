@@ -8,7 +8,7 @@ from armperturb.analysis.emg.reflex import Reflexes
 from armperturb.plots.style import in_style, new_figure
 from armperturb.study.comparison.cocontraction import index_of
 from armperturb.study.protocol import Condition
-from armperturb.study.report.figures.people import draw_people
+from armperturb.study.report.figures.people import draw_people, with_margins
 from armperturb.study.results.emg import PersonEmg
 
 
@@ -30,7 +30,7 @@ def cocontraction(people: tuple[PersonEmg, ...], conditions: tuple[Condition, ..
             if values and condition.contraction is None:
                 groups.setdefault(condition.task, {})[condition.name] = values
         draw_people(ax, groups, logarithmic=False)
-        ax.set_ylim(bottom=-0.05 * ax.get_ylim()[1])  # people who relax have 0, and their marks are drawn whole
+        with_margins(ax)
         ax.set_title(joint, loc="left")
         ax.set_ylabel("index [%]")
     figure.suptitle(f"co-contraction in {people[0].unit}", fontsize=9, parse_math=False)
