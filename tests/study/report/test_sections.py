@@ -49,7 +49,7 @@ def test_one_person_has_no_intervals(study):
     cases = tuple(case for case in study.cases if case.name == "S01")
     text = summary(replace(study, cases=cases, people=study.people[:1]))
     assert "In brackets" not in text
-    assert "there is no interval" in text
+    assert "there is no interval. No fit is flagged." in text
 
 
 def test_the_fall_is_given_where_it_is_one_and_levels_differ(study):
