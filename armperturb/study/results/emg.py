@@ -127,9 +127,11 @@ def of_one_unit(people: Sequence[PersonEmg]) -> tuple[PersonEmg, ...]:
     """Those with EMG whose amplitudes have the unit of most people, so that means over them make sense.
 
     Args:
-      people: in any order; of units that equally many have, the first counts.
+      people: in any order; of units that equally many have, the first counts. Who has an index of co-contraction goes
+        before those of whom it is not known whether they relax.
     """
-    there = [person for person in people if person.levels]
+    with_emg = [person for person in people if person.levels]
+    there = [person for person in with_emg if person.cocontraction] or with_emg
     units = Counter(person.unit for person in there)
     return tuple(person for person in there if person.unit == units.most_common(1)[0][0])
 

@@ -40,5 +40,7 @@ def test_means_tests_and_figures_are_of_people_of_one_unit():
 
 
 def test_people_without_an_index_have_no_figure_of_it():
-    relaxed = PersonEmg(name="S1", unit="% of RT2.5", limit=0.1, levels=PEOPLE[0].levels)
+    relaxed = PersonEmg(name="S0", unit="% of RT2.5", limit=0.1, levels=PEOPLE[0].levels)
     assert emg_drawings(SimpleNamespace(emg=(relaxed,), protocol=THESIS)) == {}
+    # Others go before them, however few they are.
+    assert emg_section(SimpleNamespace(emg=(relaxed, relaxed, *PEOPLE[:1]), protocol=THESIS))["unit"] == "% of PT22.5"
