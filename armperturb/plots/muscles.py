@@ -181,13 +181,17 @@ def plot_activity(levels: pd.DataFrame, cocontraction: pd.DataFrame, unit: str, 
       figure: where to draw; its height is set. None makes a new one of pyplot.
 
     Returns:
-      Axes, (2,).
+      Axes, (panel,); one panel without an index.
     """
     places = list(dict.fromkeys(zip(levels["condition"], levels["part"], strict=True)))
     x = np.arange(len(places))
-    figure = figure_for(figure, 0.9 + 2 * ROW)
-    axes = figure.subplots(2, 1, sharex=True)
-    for ax, frame, key, value in ((axes[0], levels, "muscle", "amplitude"), (axes[1], cocontraction, "joint", "index")):
+    parts = [(f"mean amplitude in {unit}", levels, "muscle", "amplitude")]
+    if len(cocontraction):
+        parts.append(("index of co-contraction", cocontraction, "joint", "index"))
+    figure = figure_for(figure, 0.9 + len(parts) * ROW)
+    axes = figure.subplots(len(parts), 1, sharex=True, squeeze=False)[:, 0]
+    for ax, (title, frame, key, value) in zip(axes, parts, strict=True):
+        ax.set_title(title, loc="left")
         keys = list(dict.fromkeys(frame[key]))
         for number, (name, colour) in enumerate(zip(keys, colours_for(len(keys)), strict=True)):
             of_name = frame[frame[key] == name].set_index(["condition", "part"])[value]
@@ -197,9 +201,7 @@ def plot_activity(levels: pd.DataFrame, cocontraction: pd.DataFrame, unit: str, 
         ax.set_ylim(bottom=0.0)
         ax.set_ylabel("[%]")
         ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=6.5)
-    axes[0].set_title(f"mean amplitude in {unit}", loc="left")
-    axes[1].set_title("index of co-contraction", loc="left")
-    axes[1].set_xticks(x, [f"{condition}\n{part}" for condition, part in places])
+    axes[-1].set_xticks(x, [f"{condition}\n{part}" for condition, part in places])
     return axes
 
 

@@ -30,7 +30,7 @@ from armperturb.study.report.tables import (
     write_tables,
 )
 from armperturb.study.results import cases
-from armperturb.study.results.cases import identify_person
+from armperturb.study.results.cases import identify_person, warn_of_short_multisines
 from armperturb.study.results.mean_admittance import by_task, main_conditions, mean_admittance
 from armperturb.subject import RELAX
 from tests.studies import FEW_FITS, coarse_study
@@ -253,6 +253,22 @@ def test_multisines_too_short_to_identify_from_are_named(relax_recording, tmp_pa
         "relax in RT7.5 was not identified: the multisine lasts 20 s, and the analysis needs 28.48 s",
     )
     assert math.isnan(case.force)
+
+
+def test_multisines_too_short_are_warned_of_before_anything_is_recorded(caplog):
+    still = Condition(name="PT0", task="PT", pulse_levels=(1.0,))
+    brief = Protocol(conditions=(RT, still), trial_duration=25.0, multisine_duration=19.0)
+    warn_of_short_multisines(brief)
+    [line] = caplog.messages
+    assert line.startswith(
+        "nobody can be identified in RT7.5: the multisine lasts 25 s, and the analysis needs 28.48 s"
+    )
+    assert brief.too_short() == (RT,)
+    # A pulse ends the multisine.
+    pulsed = replace(RT, pulse_levels=(1.0,))
+    assert Protocol(conditions=(RT,)).too_short() == Protocol(conditions=(pulsed,)).too_short() == ()
+    assert Protocol(conditions=(RT, still), multisine_duration=19.0).too_short() == ()
+    assert Protocol(conditions=(pulsed,), multisine_duration=19.0).too_short() == (pulsed,)
 
 
 def test_a_study_reads_as_a_table_and_plots(study):

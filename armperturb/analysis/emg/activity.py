@@ -40,6 +40,9 @@ PARTS = ("before", "during")
 ABOVE_NOISE = 5.0
 """Standard errors by which the power of a trial has to be above the noise for a muscle to co-contract at all [-]."""
 
+NONE_ACTIVE = "no condition was recorded in which muscles were active, such as maximal contractions (MVC)"
+"""Why nothing is known of relaxation."""
+
 JOINTS = {"s": "shoulder", "e": "elbow"}
 
 
@@ -54,11 +57,11 @@ class Activity(Result):
       levels: one row per condition, part of the trials ("before" or "during" the perturbation) and muscle: mean
         `amplitude` over the reference's, one-sided `lower_95` limit, number of trials in which the channel is not dead,
         `p` of the hypothesis that the muscle is relaxed, adjusted for the number of muscles (Holm), and `is_active`.
-        NaN, and not active, where nothing is known.
+        NaN, and not active, where nothing is known; p alone where `Envelopes.tells_relaxation` is False.
       cocontraction: one row per condition, part and joint: `index`, the mean over time of the lesser of the amplitudes
         of its flexors and extensors, and `ratio`, the same over the mean of both (Falconer & Winter 1985, Electromyogr.
-        Clin. Neurophysiol. 25).
-      remarks: of the channels.
+        Clin. Neurophysiol. 25). None where it is known of no muscle whether it is relaxed.
+      remarks: of the channels, and muscles of which that is not known.
     """
 
     subject: str
@@ -83,7 +86,13 @@ class Activity(Result):
                 (
                     str(condition),
                     str(part),
-                    "none" if not active else "all" if len(active) == len(of_part) else ", ".join(active),
+                    "unknown"
+                    if of_part["p"].isna().all()
+                    else "none"
+                    if not active
+                    else "all"
+                    if len(active) == len(of_part)
+                    else ", ".join(active),
                     *(
                         plain(100.0 * index[condition, part, joint], 3) if (condition, part, joint) in index else "–"
                         for joint in JOINTS.values()
@@ -110,7 +119,7 @@ class Activity(Result):
           figure: where to draw; its height is set. None makes a new one of pyplot.
 
         Returns:
-          Matplotlib axes, (panel,).
+          Matplotlib axes, (panel,); one panel without an index.
         """
         from armperturb.plots.muscles import plot_activity
 
@@ -136,6 +145,7 @@ def activity(envelopes: Envelopes, limit: float | None = None) -> Activity:
         limit = RELAXED if envelopes.is_normalised else RELAXED_OF_LOUDEST
     rate, labels, names = envelopes.rate, envelopes.labels, list(envelopes.muscles)
     levels, indices = [], []
+    tells = envelopes.tells_relaxation
     for condition in _in_order(labels):
         trials = np.flatnonzero(labels["condition"] == condition).tolist()
         for part in PARTS:
@@ -161,7 +171,7 @@ def activity(envelopes: Envelopes, limit: float | None = None) -> Activity:
                     ]
                     for sign in (1, -1)
                 ]
-                if all(groups):
+                if all(groups) and tells.any():
                     of_trials = [
                         cocontraction(envelopes, trial, slice(a, b), there, *groups)
                         for (trial, a, b), there in zip(used, is_there, strict=True)
@@ -176,8 +186,16 @@ def activity(envelopes: Envelopes, limit: float | None = None) -> Activity:
             levels, columns=["condition", "part", "muscle", "amplitude", "lower_95", "trials", "p", "is_active"]
         ),
         cocontraction=pd.DataFrame(indices, columns=["condition", "part", "joint", "index", "ratio"]),
-        remarks=envelopes.remarks,
+        remarks=(*envelopes.remarks, *_unknown(envelopes)),
     )
+
+
+def _unknown(envelopes: Envelopes) -> tuple[str, ...]:
+    """Of which muscles it is not known whether they are relaxed, in a line; none if it is of all."""
+    is_unknown = ~envelopes.tells_relaxation
+    names = [name for name, unknown in zip(envelopes.muscles, is_unknown, strict=True) if unknown]
+    whom = "all muscles" if is_unknown.all() else ", ".join(names)
+    return (f"EMG of {whom}: nothing is known of relaxation; {NONE_ACTIVE}",) if names else ()
 
 
 def _in_order(labels: pd.DataFrame) -> list[str]:
@@ -216,7 +234,8 @@ def _tested(
     error = np.sqrt(variance / np.maximum(n, 1))
     p = stats.t.sf((mean - limit**2) / np.maximum(error, 1e-300), dof)
     adjusted = np.full(len(p), math.nan)
-    adjusted[n > 0] = holm(p[n > 0])
+    is_tested = (n > 0) & envelopes.tells_relaxation
+    adjusted[is_tested] = holm(p[is_tested])
     lower = mean - stats.t.ppf(0.95, dof) * error
     amplitude, least = (np.sqrt(np.maximum(each, 0.0)) for each in (mean, lower))
     return [
@@ -244,18 +263,28 @@ def relaxation_sentence(people: Iterable[Activity], conditions: Iterable[str], t
       conditions: in which they were to relax.
       task: what these are called.
     """
-    wanted, everyone = list(conditions), list(people)
-    known = [person for person in everyone if person.levels["condition"].isin(wanted).any()]
-    if not known:
+    wanted = list(conditions)
+    of_wanted = [(person, person.levels[person.levels["condition"].isin(wanted)]) for person in people]
+    there = [(person, levels) for person, levels in of_wanted if len(levels)]
+    if not there:
         return f"Nothing is known of relaxation: no EMG in the {task}."
+    known = [person for person, levels in there if levels["p"].notna().any()]
+    if not known:
+        return f"Nothing is known of relaxation: {NONE_ACTIVE}."
     active = {
         person.subject: [name for name in wanted if person.active_muscles(name)]
         for person in known
         if any(person.active_muscles(name) for name in wanted)
     }
-    tested = f"above {100.0 * known[0].limit:g} {known[0].unit}, p < {SIGNIFICANT:g}"
+    limits: dict[str, list[str]] = {}
+    for person in known:
+        limits.setdefault(f"{100.0 * person.limit:g} {person.unit}", []).append(person.subject)
+    of_whom = [f"{limit} in {', '.join(names)}" if len(limits) > 1 else limit for limit, names in limits.items()]
+    tested = f"above {' or '.join(of_whom)}, p < {SIGNIFICANT:g}"
+    unknown = [person.subject for person, levels in there if levels["p"].isna().all()]
+    rest = f" Nothing is known of {', '.join(unknown)}: {NONE_ACTIVE}." if unknown else ""
     if not active:
         whom = known[0].subject if len(known) == 1 else f"any of the {len(known)} people"
-        return f"In the {task}, no muscle of {whom} was found active ({tested})."
+        return f"In the {task}, no muscle of {whom} was found active ({tested}).{rest}"
     named = "; ".join(f"{name} in {', '.join(where)}" for name, where in active.items())
-    return f"In the {task}, {len(active)} of {len(known)} people did not relax (a muscle {tested}): {named}."
+    return f"In the {task}, {len(active)} of {len(known)} people did not relax (a muscle {tested}): {named}.{rest}"

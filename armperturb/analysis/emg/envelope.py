@@ -58,6 +58,9 @@ MAXIMAL_WINDOW, PLATEAU = 1.0, 0.8
 CORRELATED = 2**19
 """Samples of a trial, the first ones, in which channels are compared for cross-talk: four minutes at 2 kHz."""
 
+ACTIVE = 10.0
+"""Power over that of the silent channel from which on a muscle is active in the most active condition [-]."""
+
 NEGLIGIBLE = 1e-6
 """Disturbances below this count as none [N]."""
 
@@ -115,6 +118,17 @@ class Envelopes(Result):
     def unit(self) -> str:
         """What amplitudes are measured in."""
         return "% of maximal contraction" if self.is_normalised else f"% of {self.reference}"
+
+    @property
+    def tells_relaxation(self) -> NDArray[np.bool_]:
+        """Whether amplitudes tell that a muscle is relaxed, (muscle,).
+
+        Without a maximal contraction they do where the muscle is active in the condition that they are relative to,
+        and this is none of the relax task.
+        """
+        relaxed = self.labels["condition"][self.labels["task"] == "RT"]
+        is_active = ACTIVE * self.noise <= 1.0
+        return np.asarray((is_active & (self.reference not in set(relaxed))) | self.is_normalised)
 
     @property
     def amplitude(self) -> Array:

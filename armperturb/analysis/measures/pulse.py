@@ -61,9 +61,11 @@ def pulse_span(recording: xr.Dataset, trial: int) -> slice:
     limit_sample = float(limit_samples(recording)[trial])
     if limit_sample <= last:
         limit = limit_sample / rate
+        late = limit - onset
+        when = f"{abs(late):.3f} s {'after' if late >= 0.0 else 'before'}"
         raise ValueError(
-            f"trial {trial} reached the workspace limit at {limit:.3f} s, {limit - onset:.3f} s after its pulse began; "
-            f"expected it to stay inside for {WINDOWS[task]:g} s"
+            f"trial {trial} reached the workspace limit at {limit:.3f} s, {when} its pulse began; expected it to stay "
+            f"inside for {WINDOWS[task]:g} s"
         )
     return slice(first, last + 1)
 

@@ -24,6 +24,7 @@ class EmgSection:
       tables: name to what a table says.
       pictures: name to a figure.
       conditions: of which there is a figure of the response to rotation.
+      has_index: whether there is an index of co-contraction.
       has_pulses: whether any trial has a pulse that EMG goes with.
       left_out: why an answer to rotation or to pulses is not shown, a line each.
     """
@@ -33,6 +34,7 @@ class EmgSection:
     tables: Mapping[str, Description]
     pictures: Mapping[str, Picture]
     conditions: tuple[str, ...]
+    has_index: bool
     has_pulses: bool
     left_out: tuple[str, ...]
 
@@ -70,6 +72,7 @@ def emg_section(
         tables=tables,
         pictures=pictures,
         conditions=tuple(responses),
+        has_index=not of_muscles.cocontraction.empty,
         has_pulses=of_pulses is not None,
         left_out=tuple(left_out),
     )

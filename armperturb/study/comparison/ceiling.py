@@ -48,15 +48,16 @@ def causes(within: Mapping[str, float], people: int) -> list[str]:
     """Which misses are the people's, and which the print's: a line for movements and one for fitted tables.
 
     Args:
-      within: group of tables ("2.1 and F", "C", "D", "E") to our share of its cells within 1 SD [-]; others count not.
+      within: group of tables ("2.1 and F", "C", "D", "E") to our share of its computed cells within 1 SD [-];
+        others count not.
       people: number of people behind the shares.
     """
     lines = []
     if "2.1 and F" in within:
         off, chance = 1.0 - within["2.1 and F"], 1.0 - replicate_share(1.0, people)
         lines.append(
-            f"movements beyond 1 SD: {100.0 * off:.0f} % of cells; {100.0 * chance:.0f} % would be by the sampling of "
-            "people alone"
+            f"movements beyond 1 SD: {100.0 * off:.0f} % of computed cells; {100.0 * chance:.0f} % would be by the "
+            "sampling of people alone"
         )
     each = [
         f"{name} {100.0 * (1.0 - within[name]):.0f} % ({100 - high} to {100 - low} %)"

@@ -96,7 +96,7 @@ class Score(Result):
             ("number of the text", "published", "ours", "unit", "remark"),
             tuple((line.name, line.published, f"{line.ours:.3g}", line.unit, line.remark) for line in self.headlines),
         )
-        within = {name: near.parts[1] for name, near in each.items() if near.computed}
+        within = {name: near.parts_of_computed[1] for name, near in each.items() if near.computed}
         details = [
             *ceiling_lines(self.people),
             *causes(within, self.people),
@@ -170,6 +170,11 @@ class Share(NamedTuple):
     def parts(self) -> tuple[float, ...]:
         """Share within each of `LIMITS` [-]; a cell that cannot be computed is not within."""
         return tuple(n / self.published for n in self.within)
+
+    @property
+    def parts_of_computed(self) -> tuple[float, ...]:
+        """The same of the cells that we have; NaN without any."""
+        return tuple(n / self.computed if self.computed else math.nan for n in self.within)
 
 
 def ceiling_lines(people: int) -> tuple[str, ...]:

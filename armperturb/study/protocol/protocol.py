@@ -10,6 +10,7 @@ from typing import Any, Self, TypeVar
 
 import numpy as np
 
+from armperturb.analysis.defaults import WINDOW_START
 from armperturb.cohort import Person
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Strap
@@ -17,6 +18,7 @@ from armperturb.envs.lab.trial import Trial
 from armperturb.files import read_toml
 from armperturb.foreign import LARGEST
 from armperturb.perturbations import Multisine, MultisineThenPulse, Perturbation, Pulse, Rest, draw_onset
+from armperturb.perturbations.multisine import PERIOD
 from armperturb.seeds import random_stream, trial_seed
 from armperturb.study.protocol.condition import PULSE_UNIT, Condition, PlannedTrial, numbers, require_different
 from armperturb.validation import as_list_of, require_keys, require_one_of, require_ranges, require_type
@@ -31,6 +33,9 @@ PULSE_WIDTH = 0.08
 
 BYTES_PER_SECOND = 8 * (200 * 10 + 2000 * 8)
 """That a trial takes in memory, of handle, joints and shoulder at 200 Hz and EMG at 2 kHz [byte/s]."""
+
+NEEDED = WINDOW_START + PERIOD
+"""How long a multisine has to last for anybody to be identified [s]."""
 
 PULSE_LEAD = 0.5
 """Time before a pulse that comes alone, in experiments beside a study [s]."""
@@ -188,6 +193,18 @@ class Protocol:
         if name not in conditions:
             raise KeyError(f"no condition {name!r}; there are {', '.join(conditions)}")
         return conditions[name]
+
+    def multisine_lasts(self, condition: Condition) -> float:
+        """How long the multisine of a condition lasts: to its pulse, or to the end of the trial [s]."""
+        return self.multisine_duration if condition.pulse_levels else self.trial_duration
+
+    def too_short(self) -> tuple[Condition, ...]:
+        """Conditions whose multisine is too short for anybody to be identified."""
+        return tuple(
+            condition
+            for condition in self.conditions
+            if condition.has_multisine and self.multisine_lasts(condition) < NEEDED
+        )
 
     def planned_trials(self) -> tuple[PlannedTrial, ...]:
         """The trials of a person, in the order of the table."""

@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 
 from armperturb.analysis.emg.activity import relaxation_sentence
+from armperturb.analysis.emg.envelope import mean_known
 from armperturb.analysis.emg.reflex import DELAYS
 from armperturb.study.comparison.cocontraction import cocontraction_tests
 from armperturb.study.report.figures import emg as emg_figures
+from armperturb.study.results.emg import of_one_unit
 from armperturb.study.results.study_result import StudyResult
 
 CLEAR = 0.001
@@ -18,12 +20,11 @@ CLEAR = 0.001
 
 def emg_drawings(study: StudyResult) -> "dict[str, partial[Any]]":
     """Figures of the section, by name."""
-    there = tuple(person for person in study.emg if person.levels)
-    if not there:
-        return {}
-    drawn = {"emg_cocontraction": partial(emg_figures.cocontraction, there, study.protocol.conditions)}
-    shown = next((person.shown for person in there if person.shown is not None), None)
-    if shown is not None:
+    there = of_one_unit(study.emg)
+    drawn: dict[str, partial[Any]] = {}
+    if any(person.cocontraction for person in there):
+        drawn["emg_cocontraction"] = partial(emg_figures.cocontraction, there, study.protocol.conditions)
+    if (shown := next((person.shown for person in study.emg if person.shown), None)) is not None:
         drawn["emg_envelopes"] = partial(emg_figures.envelopes, shown.envelopes)
         drawn["emg_reflexes"] = partial(emg_figures.reflexes, shown.reflexes)
         if shown.onsets is not None:
@@ -40,14 +41,20 @@ def relaxation(study: StudyResult) -> str:
 
 def emg_rows(study: StudyResult) -> dict[str, list[dict[str, Any]]]:
     """Tables of EMG, by name."""
-    levels = [{"subject": person.name, **row._asdict()} for person in study.emg for row in person.levels]
+    levels = [
+        {"subject": person.name, "unit": person.unit, **row._asdict()} for person in study.emg for row in person.levels
+    ]
     index = [
-        {"subject": person.name, **dict(zip(("condition", "part", "joint", "index", "ratio"), row, strict=True))}
+        {
+            "subject": person.name,
+            "unit": person.unit,
+            **dict(zip(("condition", "part", "joint", "index", "ratio"), row, strict=True)),
+        }
         for person in study.emg
         for row in person.cocontraction
     ]
     delays = [{"subject": person.name, **row._asdict()} for person in study.emg for row in person.reflexes]
-    tests = [test._asdict() for test in cocontraction_tests(study.emg, study.protocol.conditions)]
+    tests = [test._asdict() for test in cocontraction_tests(of_one_unit(study.emg), study.protocol.conditions)]
     tables = {"emg_levels": levels, "emg_cocontraction": index, "emg_reflexes": delays, "emg_tests": tests}
     return {name: rows for name, rows in tables.items() if rows}
 
@@ -55,14 +62,24 @@ def emg_rows(study: StudyResult) -> dict[str, list[dict[str, Any]]]:
 def emg_section(study: StudyResult) -> dict[str, Any]:
     """What the template shows."""
     rows = emg_rows(study)
+    there = of_one_unit(study.emg)
+    unit = there[0].unit if there else ""
+    others = [f"{person.name} ({person.unit})" for person in study.emg if person.levels and person.unit != unit]
+
+    def of_unit(name: str) -> list[dict[str, Any]]:
+        return [row for row in rows.get(name, []) if row["unit"] == unit]
+
     return {
         "relaxation": relaxation(study),
-        "unit": next(person.unit for person in study.emg if person.unit),
-        "index": _indices(rows.get("emg_cocontraction", [])),
+        "unit": unit,
+        "n": len(there),
+        "shown_person": next((person.name for person in study.emg if person.shown), ""),
+        "others": others,
+        "index": _indices(of_unit("emg_cocontraction")),
         "tests": rows.get("emg_tests", []),
         "delays": _delays(rows.get("emg_reflexes", [])),
         "remarks": [line for person in study.emg for line in person.remarks],
-        "levels": _levels(rows.get("emg_levels", [])),
+        "levels": _levels(of_unit("emg_levels")),
     }
 
 
@@ -89,15 +106,15 @@ def _indices(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _levels(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """In how many people each muscle is active in each condition."""
+    """In how many people each muscle is active in each condition, of those of whom that is known."""
     return [
         {
             "condition": condition,
             "part": part,
             "muscle": muscle.replace("_", " "),
             "active": sum(row["is_active"] for row in members),
-            "n": len(members),
-            "mean": 100.0 * float(np.mean([row["amplitude"] for row in members])),
+            "n": int(np.isfinite([row["p"] for row in members]).sum()),
+            "mean": 100.0 * float(mean_known(np.array([row["amplitude"] for row in members]))),
         }
         for (condition, part, muscle), members in _grouped(rows, ("condition", "part", "muscle")).items()
     ]

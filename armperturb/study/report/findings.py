@@ -155,6 +155,20 @@ def findings(study: StudyResult) -> dict[str, Finding]:
     return {finding.name: finding for finding in ratios if finding is not None}
 
 
+def fall_is_given(study: StudyResult, finding: Finding | None) -> bool:
+    """Whether admittance falls between conditions in which people's calibrated levels of co-contraction differ.
+
+    Args:
+      study: of which it is.
+      finding: `amplitude_PT`, if there is one.
+    """
+    if finding is None or finding.mean >= 1.0:
+        return False
+    return any(
+        person.levels.get(finding.above, 1.0) != person.levels.get(finding.below, 1.0) for person in study.cohort
+    )
+
+
 def finding_rows(results: dict[str, Finding]) -> list[Row]:
     """A row per finding and person, and of the mean with its interval, for a table."""
     rows = []

@@ -164,6 +164,7 @@ def _page(
         drawn,
         study=study,
         people=f"{len(study.names)} {'person' if len(study.names) == 1 else 'people'}",
+        intervals=" with 95\N{NO-BREAK SPACE}% intervals" if len(study.names) > 1 else "",
         first=next(iter(study.recordings), ""),
         main={task: study.of(condition.name)[0] for task, condition in main_conditions(study).items()},
         tasks=by_task(study),

@@ -74,7 +74,7 @@ def sections(
             "rows": rows["summary"],
             "findings": ratios,
             "alone": alone,
-            "calibrated": published.conditions(),
+            "given": of_study.fall_is_given(study, ratios.get("amplitude_PT")),
             "relaxation": relaxation(study),
             "fits": rows["fits"],
             **flagged,
@@ -82,14 +82,15 @@ def sections(
         },
         "method": {},
         "conditions": {"rows": rows["conditions"], "drifting": drifting},
-        "admittance": {"effects": effects, "findings": ratios},
-        "fits": {"summary": rows["summary"], "rows": rows["fits"], "remarks": remarks(study), **flagged},
-        "parameters": {
-            "rows": rows["parameters_summary"],
-            "main": [condition.name for condition in main_conditions(study).values()],
-        },
         "left_out": {"lists": left_out(study, rows["fits"], study.remarks if score is None else score.remarks)},
     }
+    if study.conditions:
+        contexts["admittance"] = {"effects": effects, "findings": ratios}
+        contexts["fits"] = {"summary": rows["summary"], "rows": rows["fits"], "remarks": remarks(study), **flagged}
+        contexts["parameters"] = {
+            "rows": rows["parameters_summary"],
+            "main": [condition.name for condition in main_conditions(study).values()],
+        }
     if study.conditions or played:
         contexts["explorer"] = {"panels": panels(study), "played": played}
     if PULSES_DRAWN & set(drawn):
@@ -236,15 +237,18 @@ def _differs(score: Score, factors: list[Row], every: Mapping[str, Share]) -> li
         named = ", ".join(f"{scored.cell.quantity} in {scored.cell.condition}" for scored in beyond[:MOST_NAMED])
         more = f" and {len(beyond) - MOST_NAMED} more" if len(beyond) > MOST_NAMED else ""
         lines.append(f"movements beyond 2 SD: {named.replace('_', ' ')}{more}")
-    of_tables = {name: scored for name, scored in every.items() if "." in name and " " not in name}
-    far = sorted((scored.parts[1], name) for name, scored in of_tables.items() if scored.parts[1] < 0.5)
+    within = {name: scored.parts_of_computed[1] for name, scored in every.items() if scored.computed}
+    of_tables = {name: part for name, part in within.items() if "." in name and " " not in name}
+    far = sorted((part, name) for name, part in of_tables.items() if part < 0.5)
     if far:
         worst = ", ".join(f"{name} ({100.0 * part:.0f}\u00a0%)" for part, name in far[:MOST_NAMED])
         lines.append(f"less than half of the cells within 1 SD: {len(far)} of {len(of_tables)} tables, least {worst}")
-    lines += causes({name: every[name].parts[1] for name in WORDS["groups"] if every[name].computed}, score.people)
+    lines += causes({name: within[name] for name in WORDS["groups"] if name in within}, score.people)
     lacking = sum(missing_cells(score).values())
     if lacking:
-        lines.append(f"{lacking} of {len(score.cells)} cells could not be computed and count as not reproduced")
+        lines.append(
+            f"{lacking} of {len(score.cells)} cells could not be computed and count as not reproduced in the tables"
+        )
     return lines
 
 

@@ -25,7 +25,7 @@ from armperturb.study.recording.record import record_study, worker_count
 from armperturb.study.recording.settings import BLOCK, StudySettings
 from armperturb.study.results.appendix_fits import Appendices, Key, SecondStep, fit_second_step, joined, means_of
 from armperturb.study.results.cache import CachedResult, Unit, computed, kept_or_computed, reusable
-from armperturb.study.results.cases import Case
+from armperturb.study.results.cases import Case, warn_of_short_multisines
 from armperturb.study.results.emg import PersonEmg, person_emg
 from armperturb.study.results.mean_admittance import main_conditions
 from armperturb.study.results.nonlinear_fits import NonlinearFit, fit_nonlinear
@@ -33,6 +33,7 @@ from armperturb.study.results.person import PersonResults, analyse_person
 from armperturb.study.results.settings import AnalysisSettings
 from armperturb.study.results.study_result import StudyResult
 from armperturb.subject import TASKS
+from armperturb.validation import require_type
 from armperturb.workers import Workers, require_workers, workers_for
 
 Result = TypeVar("Result")
@@ -64,6 +65,8 @@ def run_study(
     Raises:
       Exception: as `record_study`.
     """
+    require_type("study: settings", settings, StudySettings, "StudySettings")
+    warn_of_short_multisines(settings.load_protocol())
     record_study(settings, out, workers=workers, dask=dask, block=block, show_progress=show_progress)
     return analyse_study(out, workers=workers, nonlinear=nonlinear, settings=analysis, show_progress=show_progress)
 
@@ -121,7 +124,7 @@ def analyse_study(
         emg=emg,
         nonlinear=tuple(fits.values()),
         missing=tuple(missing),
-        remarks=tuple(remarks),
+        remarks=tuple(dict.fromkeys(remarks)),
     )
 
 
@@ -248,11 +251,12 @@ class _Study:
             joined(getattr(person.fits, name) for person in people.values()) for name in ("first", "starts")
         )
         means = means_of(first)
+        short = [condition.name for condition in self.protocol.too_short()]
         units = []
         for path in self.paths:
             cached = self._cached(path, "step-2", SecondStep)
             everybody = replace(cached, recordings={path.name: sha256 for path, sha256 in self.paths.items()})
-            units.append(Unit(cached=everybody, run=partial(_second_step, path, means)))
+            units.append(Unit(cached=everybody, run=partial(_second_step, path, means, short)))
         results = kept_or_computed([*units, *self._emg_units(people, cases[:1])], pool, bar)
         second, emg = results[: len(units)], results[len(units) :]
         with_emg = [case for case in cases if any(person.levels for person in emg if person.name == case.name)]
@@ -399,8 +403,8 @@ def _analyse(path: Path, protocol: Protocol, settings: AnalysisSettings) -> Pers
         raise ValueError(f"{path}: {error}") from None
 
 
-def _second_step(path: Path, means: Mapping[Key, Mapping[str, float]]) -> SecondStep:
-    return fit_second_step(trials_by_condition(load_recording(path, []), is_checked=True), means)
+def _second_step(path: Path, means: Mapping[Key, Mapping[str, float]], unidentified: Collection[str]) -> SecondStep:
+    return fit_second_step(trials_by_condition(load_recording(path, []), is_checked=True), means, unidentified)
 
 
 def _nonlinear(

@@ -3,7 +3,7 @@
 Each step takes one person; only the second step of appendix C needs those of everybody, as it starts from their mean.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -95,16 +95,19 @@ def first_start(model: str, task: str, start: Start) -> dict[str, float]:
     return dict(zip(structure.free, np.clip(values, lower, upper).tolist(), strict=True))
 
 
-def fit_person(conditions: Mapping[str, ConditionTrials], settings: AnalysisSettings) -> Fits:
+def fit_person(
+    conditions: Mapping[str, ConditionTrials], settings: AnalysisSettings, unidentified: Collection[str] = ()
+) -> Fits:
     """Step 1 of appendix C, and appendices D and E, for one person.
 
     Args:
       conditions: condition to the person's trials.
       settings: which fits are made.
+      unidentified: conditions in which nobody can be identified, of which nothing is said here.
     """
     name = next(iter(conditions.values())).name
     left_out: list[str] = []
-    prepared = _fittable(conditions, FIRST_STEP.values(), left_out)
+    prepared = _fittable(conditions, _others(FIRST_STEP.values(), unidentified), left_out)
     first: dict[Key, thesis.ThesisEstimate] = {}
     starts: dict[str, thesis.ThesisEstimate] = {}
     try:
@@ -123,16 +126,22 @@ def fit_person(conditions: Mapping[str, ConditionTrials], settings: AnalysisSett
     return Fits(name, first, starts, tuple(left_out))
 
 
-def fit_second_step(conditions: Mapping[str, ConditionTrials], means: Mapping[Key, Mapping[str, float]]) -> SecondStep:
+def fit_second_step(
+    conditions: Mapping[str, ConditionTrials],
+    means: Mapping[Key, Mapping[str, float]],
+    unidentified: Collection[str] = (),
+) -> SecondStep:
     """Step 2 of appendix C for one person.
 
     Args:
       conditions: condition to the person's trials.
       means: task and structure to everybody's means of step 1, from which the fits start.
+      unidentified: as of `fit_person`.
     """
     name = next(iter(conditions.values())).name
     left_out: list[str] = []
-    prepared = _fittable(conditions, filter(published.has_multisine, published.conditions()), left_out)
+    printed = filter(published.has_multisine, published.conditions())
+    prepared = _fittable(conditions, _others(printed, unidentified), left_out)
     estimates: dict[Key, thesis.ThesisEstimate] = {}
     try:
         estimates = {
@@ -144,6 +153,10 @@ def fit_second_step(conditions: Mapping[str, ConditionTrials], means: Mapping[Ke
     except ValueError as error:
         left_out.append(f"{name} was not fitted as in step 2 of appendix C: {error}")
     return SecondStep(estimates, tuple(left_out))
+
+
+def _others(conditions: Iterable[str], without: Collection[str]) -> list[str]:
+    return [condition for condition in conditions if condition not in without]
 
 
 def _fittable(

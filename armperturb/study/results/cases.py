@@ -1,5 +1,6 @@
 """A person in a condition, and what both estimators make of the trials."""
 
+import logging
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -20,8 +21,10 @@ from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.recording_files import load_recording
-from armperturb.study.protocol import Condition, Protocol
+from armperturb.study.protocol import NEEDED, Condition, Protocol
 from armperturb.subject import Subject
+
+LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -115,6 +118,16 @@ def identify_person(conditions: Mapping[str, ConditionTrials], path: Path, proto
     )
 
 
+def warn_of_short_multisines(protocol: Protocol) -> None:
+    """Say in which conditions nobody will be identified, in a line."""
+    if short := protocol.too_short():
+        LOG.warning(
+            "nobody can be identified in %s: the multisine lasts %g s, and the analysis needs %g s (multisine_duration "
+            "of the protocol where a pulse follows, else trial_duration)",
+            *(", ".join(condition.name for condition in short), min(map(protocol.multisine_lasts, short)), NEEDED),
+        )
+
+
 def _identify(
     condition: Condition, name: str, trials: ConditionTrials | None, path: Path, protocol: Protocol
 ) -> tuple[Case, ConditionTrials | None]:
@@ -128,10 +141,9 @@ def _identify(
             for trial in range(trials.n_trials)
             if trial not in multisine.numbers
         ]
-    lasts = protocol.multisine_duration if condition.pulse_levels else protocol.trial_duration
     case = Case(condition=condition, name=name, recording=path, identification=None, left_out=tuple(left_out))
-    if lasts < WINDOW_START + PERIOD:
-        reason = f"the multisine lasts {lasts:g} s, and the analysis needs {WINDOW_START + PERIOD:g} s"
+    if condition in protocol.too_short():
+        reason = f"the multisine lasts {protocol.multisine_lasts(condition):g} s, and the analysis needs {NEEDED:g} s"
         left_out.append(f"{name} in {condition.name} was not identified: {reason}")
         return replace(case, left_out=tuple(left_out)), None
     if multisine is None or not multisine.n_trials:

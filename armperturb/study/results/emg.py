@@ -1,6 +1,7 @@
 """What the EMG of a person tells in a study: activity, co-contraction and reflexes in each condition."""
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -122,6 +123,19 @@ class PersonEmg:
         )
 
 
+def of_one_unit(people: Sequence[PersonEmg]) -> tuple[PersonEmg, ...]:
+    """Those with EMG whose amplitudes have the unit of most people, so that means over them make sense.
+
+    Args:
+      people: in any order; of units that equally many have, the first counts. Who has an index of co-contraction goes
+        before those of whom it is not known whether they relax.
+    """
+    with_emg = [person for person in people if person.levels]
+    there = [person for person in with_emg if person.cocontraction] or with_emg
+    units = Counter(person.unit for person in there)
+    return tuple(person for person in there if person.unit == units.most_common(1)[0][0])
+
+
 def person_emg(name: str, path: Path, shown: Condition | None = None) -> PersonEmg:
     """Analyse the EMG of a person's recording.
 
@@ -159,7 +173,7 @@ def person_emg(name: str, path: Path, shown: Condition | None = None) -> PersonE
             for label, reflex in of_conditions.items()
             for row in reflex.responses[columns].itertuples(index=False, name=None)
         ),
-        remarks=tuple(f"{name}: {line}" for line in amplitudes.remarks),
+        remarks=tuple(f"{name}: {line}" for line in of_muscles.remarks),
         shown=_shown(amplitudes, by_condition, of_conditions, shown) if shown and shown.name in of_conditions else None,
     )
 

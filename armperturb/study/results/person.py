@@ -46,7 +46,7 @@ def analyse_person(recording: xr.Dataset, path: Path, protocol: Protocol, settin
     return PersonResults(
         cases=cases,
         measures=measure_person(recording, conditions, cases),
-        fits=fit_person(conditions, settings),
+        fits=fit_person(conditions, settings, [condition.name for condition in protocol.too_short()]),
         missing=tuple(missing_trials(recording, protocol)),
     )
 

@@ -14,10 +14,10 @@ Everything is taken from perturbation and displacement, joints by `armperturb.an
 from the start of the trial. The multisine is measured over one period from `WINDOW_START` on, in which a person's RMS
 pools all trials, and of force and displacement both axes; largest values are means over trials. Peaks are the largest
 values in the window of `armperturb.analysis.measures.pulse`, as means over the trials that a cell pools: repetitions
-and both directions of a level (min 1, max 2), or repetitions and levels of a direction. The thesis numbers levels with
+and all directions of a level (min 1, max 2), or repetitions and levels of a direction. The thesis numbers levels with
 a sign, negative at 20 deg and positive at 200 deg from the x axis (note d of table 2.1); a pulse to the right is one at
-20 deg, as x points right, whatever the sign. The pulse unit of table 2.1 is no cell: it is ten times the force of
-PT7.5.
+20 deg, as x points right, whatever the sign, one to the left at 200 deg, and table F.6 has no other directions. The
+pulse unit of table 2.1 is no cell: it is ten times the force of PT7.5.
 
 A condition that the thesis does not have fills cells likewise, of what was recorded: of a multisine if the handle is
 perturbed in its window, and of each level of its pulses. No published value stands beside them.
@@ -50,6 +50,12 @@ LIMITS = (0.5, 1.0, 2.0)
 
 PULSE_LEVELS = {"min": 1.0, "max": 2.0}
 """Name of the thesis's pulse levels to the level [-]."""
+
+DIRECTIONS = {"right": 20.0, "left": 200.0}
+"""Name of the thesis's directions of pulses to the angle from the x axis [degree]."""
+
+NEAR = 10.0
+"""How far from these a pulse still has that direction [degree]."""
 
 
 class Cell(NamedTuple):
@@ -261,12 +267,14 @@ def _pulse_values(path: _Path, trial: int) -> Iterator[_Value]:
         raise ValueError(
             f"trial {trial}: pulse_level = {level:g}; expected one of {', '.join(map(str, PULSE_LEVELS.values()))}"
         )
-    angle = math.radians(float(recording["pulse_direction"].values[trial]))
-    direction = "right" if math.cos(angle) > 0.0 else "left"
+    angle = float(recording["pulse_direction"].values[trial])
+    side = next((name for name, of in DIRECTIONS.items() if abs((angle - of + 180.0) % 360.0 - 180.0) <= NEAR), None)
+    direction = side or f"{angle % 360.0:.0f}"
     distance = peak_norm(recording["displacement"].values[trial, window])
     yield Cell("2.1", condition, f"peak_displacement_{named}"), direction, distance
     for index, joint in enumerate(JOINT_LETTERS):
         velocity, rotation = (float(np.abs(of[trial, window, index]).max()) for of in (path.velocity, path.rotation))
         yield Cell("F.3", condition, f"peak_velocity_{named}_{joint}"), direction, velocity
         yield Cell("F.5", condition, f"peak_rotation_{named}_{joint}"), direction, rotation
-        yield Cell("F.6", condition, f"peak_rotation_{direction}_{joint}"), named, rotation
+        if side:
+            yield Cell("F.6", condition, f"peak_rotation_{side}_{joint}"), named, rotation

@@ -58,7 +58,7 @@ def test_a_muscle_whose_antagonist_is_silent_does_not_co_contract():
     volts = np.array([0.5, 0.0])[:, None] * noise((3, 2, N)) + 1e-3 * np.random.default_rng(0).standard_normal(
         (3, 2, N)
     )
-    result = activity(envelopes(recorded(volts)))
+    result = activity(envelopes(recorded(volts, task=["PT"] * 3)))
     assert result.cocontraction["ratio"].item() < 0.1
 
 
@@ -93,9 +93,45 @@ def test_sentence_names_who_did_not_relax():
     assert "no EMG" in relaxation_sentence([], ["RT7.5"])
 
 
+def amplifier(shape, seed=0):
+    return 5e-3 * np.random.default_rng(seed).standard_normal(shape)
+
+
+@pytest.mark.parametrize("level", [0.0, 1.0])
+def test_the_relax_task_alone_tells_nothing_of_relaxation(level):
+    result = activity(envelopes(recorded(level * noise((4, 2, N)) + amplifier((4, 2, N)), ["RT2.5", "RT7.5"] * 2)))
+    assert result.levels["p"].isna().all()
+    assert not result.levels["is_active"].any()
+    assert result.cocontraction.empty
+    assert "unknown" in result.summary()
+    assert len(result.plot()) == 1
+    sentence = relaxation_sentence([result], ["RT2.5", "RT7.5"])
+    assert sentence.startswith("Nothing is known of relaxation: no condition was recorded in which muscles were active")
+    assert relaxation_sentence([result, person(0.0)[0]], ["RT7.5"]).startswith("In the relax task, no muscle of A was")
+
+
+def test_a_muscle_that_no_condition_makes_active_is_not_tested():
+    volts = np.array([1.0, 0.0])[:, None] * noise((4, 2, N)) + amplifier((4, 2, N))
+    volts[2:] = amplifier((2, 2, N), 1)
+    recording = recorded(volts, ["PT7.5"] * 2 + ["RT7.5"] * 2, task=["PT"] * 2 + ["RT"] * 2)
+    result = activity(envelopes(recording))
+    assert result.levels.groupby("muscle")["p"].count().to_dict() == {"flexor": 2, "extensor": 0}
+    assert result.active_muscles("PT7.5") == ("flexor",)
+    assert any("EMG of extensor: nothing is known of relaxation" in line for line in result.remarks)
+
+
+def test_the_sentence_has_the_limit_of_each_person():
+    volts = noise((4, 2, N)) * np.array([1.0, 1.0, 0.0, 0.0])[:, None, None] + amplifier((4, 2, N))
+    recording = recorded(volts, ["PT7.5"] * 2 + ["RT7.5"] * 2, task=["PT"] * 2 + ["RT"] * 2)
+    other = replace(activity(envelopes(recording)), subject="B")
+    assert relaxation_sentence([person(0.0)[0], other], ["RT7.5"]) == (
+        "In the relax task, no muscle of any of the 2 people was found active "
+        "(above 2 % of maximal contraction in A or 10 % of PT7.5 in B, p < 0.05)."
+    )
+
+
 def test_trials_in_which_a_channel_is_dead_do_not_count():
-    recording = recorded(noise((4, 2, N)))
-    amplitudes = envelopes(recording)
+    amplitudes = envelopes(recorded(noise((4, 2, N)), task=["PT"] * 4))
     power = amplitudes.power.copy()
     power[0, :, 0] = np.nan
     some, whole = activity(replace(amplitudes, power=power)), activity(amplitudes)

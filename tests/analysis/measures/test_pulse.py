@@ -60,6 +60,7 @@ def test_the_window_holds_both_ends(growing):
         ({"onset": math.nan}, "trial 0 has no pulse"),
         ({"onset": 5.8}, r"ends 0\.2 s after its pulse began; expected more than 0\.3 s in PT"),
         ({"limit": 4.3}, r"reached the workspace limit at 4\.300 s, 0\.300 s after"),
+        ({"limit": 3.0}, r"reached the workspace limit at 3\.000 s, 1\.000 s before its pulse began"),
     ],
 )
 def test_a_window_that_is_not_there_is_refused_and_gives_nan(growing, options, message):

@@ -56,7 +56,9 @@ def test_contradictions_name_headline_numbers_and_quote_the_tables():
 
 def test_misses_are_divided_between_people_and_print():
     movements, fitted = causes({"2.1 and F": 0.88, "C": 0.43, "total": 0.5}, 10)
-    assert movements.startswith("movements beyond 1 SD: 12 % of cells; 5 % would be by the sampling of people alone")
+    assert movements.startswith(
+        "movements beyond 1 SD: 12 % of computed cells; 5 % would be by the sampling of people alone"
+    )
     low, high = OF_PRINTED_ARMS["C"]
     assert fitted.startswith(f"fitted cells beyond 1 SD: C 57 % ({100 - high} to {100 - low} %); in brackets")
     assert causes({"total": 0.5}, 10) == []

@@ -174,6 +174,8 @@ def test_shares():
     cells = (cell(0.4), cell(-0.6, ours_sd=3.0), cell(1.5, sd=2.0), cell(-7.0), missing, without_sd)
     assert share(cells) == (5, 4, (1, 2, 3), 1.0)
     assert share(cells).parts == (0.2, 0.4, 0.6)  # what is missing is not reproduced
+    assert share(cells).parts_of_computed == (0.25, 0.5, 0.75)
+    assert math.isnan(share([missing]).parts_of_computed[1])
     result = Score(people=1, cells=(*cells, cell(0.1, table="C.8")), headlines=(), remarks=())
     found = shares(result)
     assert found["2.1 and F"] == found["2.1 and F, PT"] == found["2.1"]

@@ -16,7 +16,7 @@ from armperturb.analysis.measures.kinematics import hand_position
 from armperturb.cohort import average_person
 from armperturb.environment import Environment
 from armperturb.perturbations import Pulse
-from armperturb.plots.style import COLOURS, GREY, INK, PUBLISHED, SKELETAL, TRUE
+from armperturb.plots.style import COLOURS, GREY, INK, PUBLISHED, SKELETAL, TRUE, new_figure
 from armperturb.recording import make_recording
 from armperturb.recording_files import save_recording
 from armperturb.study.comparison.effects import AdmittanceEffect, Effects
@@ -31,7 +31,7 @@ from armperturb.study.report.figures import rig as rig_figures
 from armperturb.study.report.figures import trajectories as trajectory_figures
 from armperturb.study.report.figures.axes import STARS
 from armperturb.study.report.figures.catalogue import drawings
-from armperturb.study.report.figures.people import PERSON
+from armperturb.study.report.figures.people import PERSON, draw_people, with_margins
 from armperturb.study.report.findings import excess_rows
 from armperturb.subject import POSITION, RELAX
 
@@ -414,7 +414,7 @@ def test_joint_rotations_and_their_peaks():
     recording = pulsed(POSITION, "PT0", angles=np.stack([angles, -angles]))
     right, left = trajectory_figures.joint_rotations(recording).axes
     for ax, sign in ((left, 1), (right, -1)):
-        drawn = [line for line in ax.lines if line.get_color() != TRUE["color"] and len(line.get_xdata()) > 1]
+        drawn = [line for line in ax.lines if line.get_color() != TRUE["color"] and len(line.get_xdata()) > 2]
         assert drawn[0].get_xdata() == pytest.approx(1e3 * since[190:301])
         for line, joint in zip(drawn, range(2), strict=True):
             assert line.get_ydata() == pytest.approx(sign * np.degrees(angles[190:301, joint]), abs=1e-9)
@@ -422,6 +422,16 @@ def test_joint_rotations_and_their_peaks():
         # Table F.5, PT0, maximum level [degree].
         printed = {round(abs(mean), 1): round(sd, 1) for mean, sd in whiskers(ax, PUBLISHED["color"])}
         assert printed == {11.7: 3.3, 17.2: 5.0}
+
+
+def test_peaks_of_joints_are_those_in_the_window_of_the_table():
+    since = np.arange(600) / RATE - 1.0
+    late = np.where((since > 0) & (since < 0.8), np.sin(np.pi * since / 0.8), 0)
+    angles = np.stack([0.1 * late, -0.3 * late], axis=-1)
+    for subject, condition, peak in ((POSITION, "PT0", 300), (RELAX, "RT0", 400)):
+        recording = pulsed(subject, condition, angles=np.stack([angles, -angles]))
+        for ax in trajectory_figures.joint_rotations(recording).axes:
+            assert texts(ax) == [f"shoulder {peak} ms", f"elbow {peak} ms"]
 
 
 def test_pulse_is_drawn_along_its_direction():
@@ -451,6 +461,12 @@ def test_directions_are_drawn_from_the_mean_posture():
     assert "= 80.0°" in said
     assert "20°, extends the elbow" in said
     assert "200°, flexes the elbow" in said
+
+
+def test_labels_of_directions_do_not_stand_on_the_axis():
+    (ax,) = perturbation_figures.pulse_directions([POSITION], (0.0, 90.0, 180.0)).axes
+    labels = {text.get_text().split("°")[0]: text for text in ax.texts if "the elbow" in text.get_text()}
+    assert {name: label.get_va() for name, label in labels.items()} == {"0": "bottom", "90": "center", "180": "bottom"}
 
 
 @pytest.mark.parametrize("direction", [20.0, 110.0, 200.0, 290.0])
@@ -509,6 +525,19 @@ def recorded(invented, tmp_path):
     return replace(invented, cases=cases, recordings={"S01": tmp_path / "S01.nc"})
 
 
+def test_one_person_has_whole_marks_and_no_interval_in_the_legend(invented):
+    for names, label in (({"S01"}, "mean over people"), ({"S01", "S02"}, "mean over people, 95 % interval")):
+        people = tuple(person for person in invented.people if person.name in names)
+        figure = pulse_figures.peak_displacement(replace(invented, people=people))
+        assert label in [text.get_text() for text in figure.legends[0].get_texts()]
+    ax = new_figure(3.0).subplots()
+    draw_people(ax, {"PT": {"PT2.5": {"S01": 20.0}, "PT7.5": {"S01": 20.1}}}, logarithmic=False)
+    with_margins(ax)
+    low, high = ax.get_ylim()
+    assert high - 20.1 > 0.03 * (high - low)
+    assert low < 0.0
+
+
 def test_registry_holds_what_the_study_allows(recorded):
     assert drawings(recorded, NOTHING, None).keys() == NAMES | {"pulse_signal", "joint_rotations"}
     cohort = (replace(average_person(), name="S01"),)
@@ -516,6 +545,9 @@ def test_registry_holds_what_the_study_allows(recorded):
     assert drawings(known, NOTHING, None).keys() == NAMES | {"pulse_signal", "joint_rotations", "stills", "rig"}
     of_pulses = {"pulse_signal", "joint_rotations", "stills", "rig"}
     assert drawings(replace(known, cases=(), people=()), NOTHING, None).keys() == of_pulses
+    unpulsed = tuple(replace(c, pulse_levels=()) for c in recorded.protocol.conditions if c.has_multisine)
+    without = replace(recorded, protocol=replace(recorded.protocol, conditions=unpulsed))
+    assert "pulse_directions" not in drawings(without, NOTHING, None)
     nobody = replace(recorded, cases=(), people=(), recordings={})
     assert drawings(nobody, NOTHING, None) == {}
     without_people = drawings(replace(recorded, people=()), NOTHING, None)

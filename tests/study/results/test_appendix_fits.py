@@ -9,7 +9,7 @@ import pytest
 from armperturb.analysis.fit.structures import STRUCTURES, neutral_start
 from armperturb.study.published import tables as published
 from armperturb.study.results import appendix_fits
-from armperturb.study.results.appendix_fits import SCATTER, first_start, fit_person
+from armperturb.study.results.appendix_fits import SCATTER, first_start, fit_person, fit_second_step
 from armperturb.study.results.settings import AnalysisSettings
 
 MODELS = "123456"
@@ -55,3 +55,11 @@ def test_the_first_step_starts_where_the_settings_say(monkeypatch):
     assert first_start("3", "RT", "neutral") == neutral_start(STRUCTURES["3"], "RT")
     with pytest.raises(ValueError, match="start = 'PT'"):
         AnalysisSettings(start="PT")
+
+
+def test_multisines_that_are_known_to_be_too_short_are_not_told_again():
+    trials = SimpleNamespace(name="S01")
+    first = fit_person({"PT7.5": trials}, AnalysisSettings(), ["PT7.5"])
+    second = fit_second_step({"PT7.5": trials}, {("PT", "3"): {}}, ["PT7.5"])
+    assert (first.first, first.starts, second.estimates) == ({}, {}, {})
+    assert first.left_out == second.left_out == ()

@@ -160,6 +160,17 @@ def test_conditions_of_ones_own_fill_cells_of_their_own():
     }
 
 
+def test_only_the_directions_of_the_thesis_are_right_and_left():
+    heights = {0.0: 0.10, 25.0: 0.12, 90.0: 0.14, 195.0: 0.18, 270.0: 0.30}
+    trials = [rotating("RT0", bump([0.1, height]), direction=direction) for direction, height in heights.items()]
+    cells = measured_cells(recorded(*trials, trials[0]))
+    assert cells[Cell("F.6", "RT0", "peak_rotation_right_e")] == pytest.approx(0.12, rel=1e-3)
+    assert cells[Cell("F.6", "RT0", "peak_rotation_left_e")] == pytest.approx(0.18, rel=1e-3)
+    # Each direction counts alike.
+    mean = np.mean(list(heights.values()))
+    assert cells[Cell("F.5", "RT0", "peak_rotation_min_e")] == pytest.approx(mean, rel=1e-3)
+
+
 def test_a_direction_needs_all_levels():
     trials = [rotating("PT7.5", swinging(0.01) + bump([0.1, 0.1]), direction=direction) for direction in (20.0, 200.0)]
     cells, left_out = measure(recorded(*trials))

@@ -74,7 +74,8 @@ def _of_cases(study: StudyResult, effects: Effects) -> Drawings:
     if main:
         arms = [case.identified.fit.arm for case in study.of(next(iter(main.values())).condition.name)]
         directions = study.protocol.pulse_directions_deg
-        drawn["pulse_directions"] = partial(perturbation_figures.pulse_directions, arms, directions)
+        if any(condition.pulse_levels for condition in study.protocol.conditions):
+            drawn["pulse_directions"] = partial(perturbation_figures.pulse_directions, arms, directions)
         drawn["perturbation"] = partial(perturbation_figures.perturbation, next(iter(main.values())))
         if estimate_figures.estimated_quantities(study):
             drawn["estimates"] = partial(estimate_figures.estimates, study)

@@ -8,7 +8,7 @@ from armperturb.analysis.emg.reflex import Reflexes
 from armperturb.plots.style import in_style, new_figure
 from armperturb.study.comparison.cocontraction import index_of
 from armperturb.study.protocol import Condition
-from armperturb.study.report.figures.people import draw_people
+from armperturb.study.report.figures.people import draw_people, with_margins
 from armperturb.study.results.emg import PersonEmg
 
 
@@ -17,12 +17,11 @@ def cocontraction(people: tuple[PersonEmg, ...], conditions: tuple[Condition, ..
     """Index of co-contraction of every person in every condition, by joint.
 
     Args:
-      people: with EMG.
+      people: with EMG of one unit.
       conditions: of the protocol.
     """
     figure = new_figure(4.2)
     axes = figure.subplots(2, 1, sharex=True)
-    unit = next(person.unit for person in people if person.unit)
     for ax, joint in zip(axes, ("shoulder", "elbow"), strict=True):
         indices = {person.name: index_of(person, joint) for person in people}
         groups: dict[str, dict[str, dict[str, float]]] = {}
@@ -31,10 +30,10 @@ def cocontraction(people: tuple[PersonEmg, ...], conditions: tuple[Condition, ..
             if values and condition.contraction is None:
                 groups.setdefault(condition.task, {})[condition.name] = values
         draw_people(ax, groups, logarithmic=False)
-        ax.set_ylim(bottom=-0.05 * ax.get_ylim()[1])  # people who relax have 0, and their marks are drawn whole
+        with_margins(ax)
         ax.set_title(joint, loc="left")
         ax.set_ylabel("index [%]")
-    figure.suptitle(f"co-contraction in {unit}", fontsize=9, parse_math=False)
+    figure.suptitle(f"co-contraction in {people[0].unit}", fontsize=9, parse_math=False)
     return figure
 
 

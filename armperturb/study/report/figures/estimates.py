@@ -8,7 +8,7 @@ from armperturb.plots.style import in_style, new_figure
 from armperturb.study.published import tables as published
 from armperturb.study.report.figures.groups import PRINTED, printed_handle
 from armperturb.study.report.figures.parameters import JOINT_NAMES, QUANTITIES
-from armperturb.study.report.figures.people import ASIDE, draw_people, people_legend
+from armperturb.study.report.figures.people import ASIDE, draw_people, people_legend, with_margins
 from armperturb.study.report.tables import published_or_nan
 from armperturb.study.results.mean_admittance import by_task
 from armperturb.study.results.study_result import StudyResult
@@ -52,13 +52,12 @@ def estimates(study: StudyResult) -> Figure:
                     any_printed = True
                     ax.errorbar(place - ASIDE, printed.mean, printed.sd, **PRINTED, elinewidth=1.0, capsize=2)
             ax.set_xlim(left=-0.6)
-            ax.margins(y=0.06)
-            ax.set_ylim(bottom=min(0.0, ax.get_ylim()[0]))
+            with_margins(ax)
             ax.tick_params(axis="x", labelsize=6.5)
             if quantity == shown[0]:
                 ax.set_title(title)
         row[0].set_ylabel(f"{QUANTITIES[quantity]} [{unit(f'{quantity}_s')}]")
-    handles = people_legend(by_task(study))
+    handles = people_legend(by_task(study), len(study.names))
     if any_printed:
         handles.append(printed_handle())
     legend(figure, *handles)

@@ -112,7 +112,7 @@ def vaf(study: StudyResult) -> Figure:
             groups.draw_groups(ax, drawn_here)
             ax.set(ylim=(0, 100), ylabel=f"VAF along {AXES[axis]} [%]" if task == tasks[0] else "")
     printed = groups.printed_handles(drawn, label="published mean ± SD, linear model")
-    legend(figure, *groups.model_handles(), groups.mean_handle(), *printed)
+    legend(figure, *groups.model_handles(), groups.mean_handle(groups.mean_label(drawn)), *printed)
     return figure
 
 

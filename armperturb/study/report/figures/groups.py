@@ -88,7 +88,7 @@ def draw_predictions(height: float, groups: Mapping[str, Groups], handles: Itera
     first.set_ylim(bottom=0)
     first.set_ylabel("predicted / recorded peak [%]")
     band = Patch(color=PUBLISHED["color"], alpha=0.25, linewidth=0, label=f"published range, {low:g} to {high:g} %")
-    legend(figure, *handles, mean_handle(), band, n_columns=n_columns)
+    legend(figure, *handles, mean_handle(mean_label(groups.values())), band, n_columns=n_columns)
     return figure
 
 
@@ -177,7 +177,13 @@ def people_handle(label: str, colour: str, marker: str = "o") -> Line2D:
     return Line2D([], [], label=label, **{**PERSON, "color": colour, "marker": marker, "markersize": 3.5, "alpha": 0.8})
 
 
-def mean_handle(label: str = "mean over people, 95 % interval", look: Mapping[str, Any] = MEAN) -> Line2D:
+def mean_label(groups: Iterable[Groups]) -> str:
+    """What means over people are called in a legend of what is drawn: that of one person has no interval."""
+    several = any(len(entry.known) > 1 for panel in groups for series in panel.values() for entry in series)
+    return "mean over people, 95 % interval" if several else "mean over people"
+
+
+def mean_handle(label: str, look: Mapping[str, Any] = MEAN) -> Line2D:
     """Entry in a legend of means over people."""
     shown = {key: value for key, value in look.items() if key not in ("elinewidth", "capsize")}
     return Line2D([], [], label=label, **shown)

@@ -1,7 +1,7 @@
 """Figures of estimated parameters (thesis figures 3.12 to 3.14)."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -25,6 +25,7 @@ from armperturb.study.report.figures.groups import (
     Series,
     draw_groups,
     mean_handle,
+    mean_label,
     people_handle,
     printed_handles,
     stars,
@@ -131,7 +132,7 @@ def joint_parameters(study: StudyResult, task: str, p: Mapping[str, float] | Non
             drawn.append(_draw(ax, *of_quantity, sources, {} if sem or p is None else p, logarithmic=sem))
     for ax, title in zip(panels[0], ("estimate", "standard error"), strict=True):
         ax.set_title(title)
-    legend(figure, *_handles(task, estimates), *_mean_handles(), *printed_handles(drawn), n_columns=4)
+    legend(figure, *_handles(task, estimates), *_mean_handles(drawn), *printed_handles(drawn), n_columns=4)
     return figure
 
 
@@ -159,7 +160,7 @@ def muscle_parameters(study: StudyResult, p: Mapping[str, Mapping[str, float]] |
         for ax in column[len(rows[task]) :]:
             ax.set_visible(False)
     handles = [handle for task, estimates in tasks.items() for handle in _handles(task, estimates)]
-    legend(figure, *handles, *_mean_handles(), *printed_handles(drawn), n_columns=4)
+    legend(figure, *handles, *_mean_handles(drawn), *printed_handles(drawn), n_columns=4)
     return figure
 
 
@@ -230,8 +231,8 @@ def _handles(task: str, estimates: Estimates) -> list[Line2D]:
     return handles
 
 
-def _mean_handles() -> list[Line2D]:
-    return [mean_handle(), mean_handle("the same, thesis's estimator", BESIDE_MEAN)]
+def _mean_handles(drawn: Iterable[Groups]) -> list[Line2D]:
+    return [mean_handle(mean_label(drawn)), mean_handle("the same, thesis's estimator", BESIDE_MEAN)]
 
 
 def _draw(

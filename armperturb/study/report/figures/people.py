@@ -74,14 +74,21 @@ def draw_people(ax: Axes, groups: Groups, *, logarithmic: bool = True) -> dict[s
     return places
 
 
-def people_legend(tasks: Mapping[str, Any]) -> list[Line2D]:
-    """Entries in a legend of the people of each task, and of their means."""
+def with_margins(ax: Axes) -> None:
+    """Let a linear axis begin at zero or below, with room for whole marks at either end."""
+    low, high = ax.get_ylim()
+    low = min(low, 0.0)
+    ax.set_ylim(low - 0.05 * (high - low), high + 0.05 * (high - low))
+
+
+def people_legend(tasks: Mapping[str, Any], n_people: int) -> list[Line2D]:
+    """Entries in a legend of the people of each task, and of their means, which have no interval of one person."""
     return [
         *(Line2D([], [], label=f"people, {task}", color=COLOURS[task], **PERSON) for task in tasks),
         Line2D(
             [],
             [],
-            label="mean, 95 % interval",
+            label="mean, 95 % interval" if n_people > 1 else "mean",
             **{key: MEAN[key] for key in ("color", "marker", "markersize", "linestyle")},
         ),
     ]

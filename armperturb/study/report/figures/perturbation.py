@@ -20,6 +20,9 @@ from armperturb.subject import Subject
 PULSE_WIDTH: float = Pulse.width
 """Duration of a pulse [s]."""
 
+BESIDE_AXIS = 0.1
+"""Sine of the angle to the fronto-parallel axis below which a direction's label would stand on it [-]."""
+
 
 @in_style()
 def perturbation(case: Case) -> Figure:
@@ -155,7 +158,9 @@ def pulse_directions(arms: Sequence[Subject], directions_deg: Sequence[float]) -
         lever = hand - hinge
         does = "flexes" if lever[0] * along[1] > lever[1] * along[0] else "extends"
         text, place, side = f"{angle:g}°, {does} the elbow", hand + 0.26 * along, "left" if along[0] > 0 else "right"
-        ax.annotate(text, tuple(place), ha=side, va="center", color=COLOURS["RT"], weight="bold")
+        is_beside = abs(along[1]) < BESIDE_AXIS  # above the dashed line then, not on it
+        label = ax.annotate(text, tuple(place), (0, 5 * is_beside), textcoords="offset points", ha=side)
+        label.set(va="bottom" if is_beside else "center", color=COLOURS["RT"], weight="bold")
     ax.set_aspect("equal")
     ax.set(xlabel="x, to the right [m]", ylabel="y, forward [m]")
     return figure

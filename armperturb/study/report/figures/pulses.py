@@ -157,7 +157,8 @@ def _draw_levels(
         for task, conditions in by_task.items()
         for level in sorted({level for levels in conditions.values() for level in levels})
     ]
-    handles += [groups_of_people.mean_handle(), *groups_of_people.printed_handles(groups.values())]
+    mean = groups_of_people.mean_label(groups.values())
+    handles += [groups_of_people.mean_handle(mean), *groups_of_people.printed_handles(groups.values())]
     legend(figure, *handles, n_columns=3)
     for number, ax in enumerate(panels.values()):
         ax.set_ylim(bottom=0)

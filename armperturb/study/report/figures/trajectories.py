@@ -18,7 +18,7 @@ from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
 from armperturb.perturbations import Pulse
 from armperturb.plots.panels import legend
-from armperturb.plots.style import PALE, RECORDED, TRUE, in_style, new_figure
+from armperturb.plots.style import GREY, PALE, RECORDED, TRUE, in_style, new_figure
 from armperturb.study.published import tables as published
 from armperturb.study.report.figures.groups import MODEL_LOOKS, PRINTED, printed_handle
 from armperturb.study.report.tables import published_or_nan
@@ -48,7 +48,7 @@ JOINT_LOOKS: dict[str, dict[str, Any]] = {
 }
 
 LEAD, LAG = 0.05, 0.5
-"""From when to when around the onset of a pulse rotations are drawn [s]."""
+"""From when to when around the onset of a pulse rotations are drawn at least [s]."""
 
 
 def first_pulses(
@@ -155,18 +155,19 @@ def trajectories(recording: xr.Dataset, estimate: ThesisEstimate | None, level: 
 
 
 def around_pulse(recording: xr.Dataset, trial: int) -> xr.Dataset:
-    """A trial from shortly before its pulse to half a second after its onset, or to its end."""
+    """A trial from shortly before its pulse to half a second after its onset or its window, or to the end."""
+    after = max(LAG, WINDOWS[str(recording["task"].values[trial])])
     rate = float(recording.attrs["rate"])
     onset = round(float(recording["pulse_onset"].values[trial]) * rate)
     first = max(0, onset - round(LEAD * rate))
-    return recording.isel(trial=[trial], time=slice(first, onset + round(LAG * rate) + 1))
+    return recording.isel(trial=[trial], time=slice(first, onset + round(after * rate) + 1))
 
 
 @in_style()
 def joint_rotations(recording: xr.Dataset) -> Figure:
     """Rotations of shoulder and elbow after a largest pulse in each direction, with their peaks (thesis fig. F.1).
 
-    What is drawn is longer than the window in which table F.5 looks for peaks, as the shoulder comes late.
+    Peaks are those in the window of table F.5, which a dotted line ends; the shoulder may come later.
 
     They come from the path of the handle; where a simulator recorded the joints themselves, these are drawn too. Beside
     them stand the mean peaks of table F.5.
@@ -180,18 +181,21 @@ def joint_rotations(recording: xr.Dataset) -> Figure:
     figure = new_figure(3.4)
     panels = figure.subplots(1, len(trials), sharey=True, squeeze=False)[0]
     any_printed = False
+    window = 1e3 * WINDOWS[str(recording["task"].values[0])]
     for ax, (direction, trial) in zip(panels, trials.items(), strict=True):
         around = around_pulse(recording, trial)
         time = 1e3 * (around["time"].values - float(around["pulse_onset"].values[0]))
         rotation = np.degrees(kinematics.joint_rotations(around)[0])
         ax.axvspan(0.0, 1e3 * Pulse.width, color=PALE, alpha=0.5, linewidth=0)
+        ax.axvline(window, color=GREY, linewidth=0.9, linestyle=":")
+        in_window = (time >= 0.0) & (time < window + 0.5e3 / float(recording.attrs["rate"]))
         for joint, (name, look) in enumerate(JOINT_LOOKS.items()):
             values = rotation[:, joint]
             ax.plot(time, values, **look)
             if "joint_angle" in around:
                 truth = np.degrees(kinematics.true_rotations(around)[0, :, joint])
                 ax.plot(time, truth, **ITSELF)
-            peak = int(np.argmax(np.where(time >= 0.0, np.abs(values), 0.0)))
+            peak = int(np.argmax(np.where(in_window, np.abs(values), 0.0)))
             sign = np.sign(values[peak])
             ax.plot(time[peak], values[peak], "o", color=look["color"], markersize=6)
             ax.annotate(

@@ -1,0 +1,46 @@
+"""The section EMG of people whose amplitudes have different references."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from armperturb.study.protocol import THESIS
+from armperturb.study.report.emg import emg_drawings, emg_rows, emg_section
+from armperturb.study.results.emg import Cocontraction, Level, PersonEmg
+
+
+def person(name, unit, value):
+    """EMG of one value [-]."""
+    rows = [Cocontraction(condition, "during", "elbow", value, 0.5) for condition in ("PT7.5", "PT22.5")]
+    return PersonEmg(
+        name=name,
+        unit=unit,
+        limit=0.02 if "maximal" in unit else 0.1,
+        levels=(Level("RT7.5", "during", "biceps", value, 0.0, 4, 0.9, False),),
+        cocontraction=tuple(rows),
+    )
+
+
+MAXIMAL = "% of maximal contraction"
+PEOPLE = (person("S1", "% of PT22.5", 0.9), *(person(f"S{n}", MAXIMAL, 0.01 * n) for n in (2, 3, 4)))
+
+
+def test_means_tests_and_figures_are_of_people_of_one_unit():
+    study = SimpleNamespace(emg=PEOPLE, protocol=THESIS)
+    section = emg_section(study)
+    assert section["unit"] == MAXIMAL
+    assert section["others"] == ["S1 (% of PT22.5)"]
+    assert [row["mean"] for row in section["index"]] == pytest.approx([3.0, 3.0])
+    assert section["levels"][0]["mean"] == pytest.approx(3.0)
+    assert {row["n"] for row in section["tests"]} == {3}
+    assert "2 % of maximal contraction in S2, S3, S4" in section["relaxation"]
+    assert "10 % of PT22.5 in S1" in section["relaxation"]
+    assert {row["subject"]: row["unit"] for row in emg_rows(study)["emg_cocontraction"]}["S1"] == "% of PT22.5"
+    assert len(emg_drawings(study)["emg_cocontraction"].args[0]) == 3
+
+
+def test_people_without_an_index_have_no_figure_of_it():
+    relaxed = PersonEmg(name="S0", unit="% of RT2.5", limit=0.1, levels=PEOPLE[0].levels)
+    assert emg_drawings(SimpleNamespace(emg=(relaxed,), protocol=THESIS)) == {}
+    # Others go before them, however few they are.
+    assert emg_section(SimpleNamespace(emg=(relaxed, relaxed, *PEOPLE[:1]), protocol=THESIS))["unit"] == "% of PT22.5"

@@ -1,0 +1,64 @@
+"""What the sections of the report say of findings that few people have, or that were given to them."""
+
+import math
+import re
+from dataclasses import replace
+
+import pytest
+from invented import people_of, study_of
+
+from armperturb.cohort import draw_person
+from armperturb.pages.page import rendered
+from armperturb.study.report.findings import fall_is_given, findings
+from armperturb.study.report.words import WORDS
+
+
+def summary(study):
+    """The text of the first screen."""
+    shown = {
+        **{"rows": [1], "findings": findings(study), "alone": None, "given": False, "relaxation": "", "fits": []},
+        **{"flagged": 0, "reasons": {}, "differ": math.nan},
+    }
+    n = len(study.names)
+    people = f"{n} {'person' if n == 1 else 'people'}"
+    page = rendered(
+        *("armperturb.study.report", "page.html", {"summary": shown}, WORDS["sections"], {}),
+        study=study,
+        people=people,
+        intervals="",
+    )
+    return re.sub(r"\s+", " ", re.sub("<[^>]+>", "", page.split('<section id="summary">')[1]))
+
+
+@pytest.fixture(scope="module")
+def study():
+    return study_of(people_of())
+
+
+def test_findings_of_some_people_say_of_how_many(study):
+    text = summary(study)
+    assert "of 3 people)" not in text
+    assert "intervals of the mean over 3 people." in text
+    fewer = [case for case in study.cases if case.name == "S01" or case.condition.name != "RT7.5"]
+    text = summary(replace(study, cases=tuple(fewer)))
+    assert "as when holding the position (1 of 3 people)." in text
+    assert "intervals of the mean over people." in text
+
+
+def test_one_person_has_no_intervals(study):
+    cases = tuple(case for case in study.cases if case.name == "S01")
+    text = summary(replace(study, cases=cases, people=study.people[:1]))
+    assert "In brackets" not in text
+    assert "there is no interval. No fit is flagged." in text
+
+
+def test_the_fall_is_given_where_it_is_one_and_levels_differ(study):
+    finding = replace(findings(study)["amplitude_PT"], mean=0.7)
+    person = draw_person(0, 0)
+    nonlinear = replace(study, cohort=(person,))
+    assert (finding.above, finding.below) == ("PT22.5", "PT2.5")
+    assert fall_is_given(nonlinear, finding)
+    assert not fall_is_given(nonlinear, replace(finding, mean=1.2))
+    assert not fall_is_given(nonlinear, replace(finding, above="large", below="small"))
+    assert not fall_is_given(replace(study, cohort=(replace(person, levels={}),)), finding)
+    assert not fall_is_given(nonlinear, None)
