@@ -244,7 +244,7 @@ def test_report_says_why_the_first_person_yields(reported, explained, tmp_path):
     assert has_law(person)
     text, asked = reported(person)
     assert asked == [((person,), {"environment": Environment(), "seed": 3})]
-    assert text.index('<section id="parameters"') < text.index('<section id="yielding"')
+    assert text.index('<section id="summary"') < text.index('<section id="yielding"')
     assert text.index('<section id="yielding"') < text.index('<section id="left_out"')
     for name in ("loops", "admittance", "pulses"):
         assert f'id="figure-yielding_{name}"' in text
