@@ -1,5 +1,6 @@
 """From channels to signals on even times, in SI and our axes, and from trials of all files to one recording."""
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
@@ -164,7 +165,7 @@ def joined(
       trials: at least one.
       joint: of a recording of one axis; None if unknown.
       repair: "lengths" cuts trials of unequal length to the shortest.
-      notes: to which such a cut is added.
+      notes: to which such a cut is added, and each pulse that a cut left out.
 
     Raises:
       ValueError: trials differ in signals, rates or length.
@@ -198,7 +199,8 @@ def joined(
         signals[name] = np.stack([trial.signals[name][:least] for trial in trials])
     if signals["displacement"].shape[1] < 2:
         raise ValueError(f"{first.where}: one sample is left; expected at least 2")
-    labels = _coordinates([trial.labels for trial in trials])
+    duration = signals["displacement"].shape[1] / first.rates["displacement"]
+    labels = _coordinates([_labels_within(trial, duration, notes) for trial in trials])
     return make_recording(
         signals,
         labels,
@@ -211,6 +213,21 @@ def joined(
         joint=joint,
         angular=first.units["displacement"] == "rad",
     )
+
+
+def _labels_within(trial: Timed, duration: float, notes: list[str]) -> dict[str, Any]:
+    """Labels of a trial that may have been cut: without those of a pulse, or of a limit, that was cut off."""
+    labels = dict(trial.labels)
+    if labels.get("limit_time", 0.0) > duration:
+        del labels["limit_time"]
+    onset = labels.get("pulse_onset", math.nan)
+    if onset < 0.0 or onset > duration:
+        notes.append(
+            f"{trial.where}: the pulse, at {onset:.6g} s of the {duration:.6g} s that are kept, is cut off: "
+            "pulse_onset, pulse_level and pulse_direction are left out"
+        )
+        labels = {name: value for name, value in labels.items() if not name.startswith("pulse_")}
+    return labels
 
 
 def _coordinates(labels: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:

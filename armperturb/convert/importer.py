@@ -14,6 +14,7 @@ from armperturb.convert.checks import (
     check_different,
     check_recordings,
     other_units,
+    require_instants,
     require_plausible,
     require_plausible_recording,
 )
@@ -200,6 +201,8 @@ def _aligned(
     """A trial in SI, repaired as asked; None if it is left out."""
     where = f"{path}: trial {raw.name!r}" if raw.name != path.name else str(path)
     timed, faults = timed_signals(where, raw, meaning)
+    duration = max(len(values) / timed.rates[name] for name, values in timed.signals.items() if name != "emg")
+    require_instants(where, timed.labels, duration)  # before anything is cut
     timed = without_padding(timed)
     if "stretch" in repair:
         timed, part = longest_stretch(timed)

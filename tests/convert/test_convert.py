@@ -465,6 +465,47 @@ def test_a_trial_is_cut_to_its_longest_stretch_without_long_gaps(tmp_path):
     assert_is_the_laboratory(whole.recording)
 
 
+@pytest.mark.parametrize(
+    ("gap", "onset", "repair", "kept"),
+    [
+        (slice(1000, 1100), 5.6, "stretch", None),
+        (slice(300, 400), 1.0, "stretch", None),
+        (slice(300, 400), 3.0, "stretch", 1.0),
+        (slice(1000, 1200), 5.6, "lengths", None),
+        (slice(1000, 1200), 5.0, "lengths", 5.0),
+    ],
+)
+def test_a_pulse_that_a_cut_leaves_out_has_no_labels_any_more(tmp_path, gap, onset, repair, kept):
+    values, sidecar = table(), meaning()
+    values[N_TIME:][gap, 2:] = np.nan
+    pulse = {"pulse_level": 1, "pulse_direction": 20, "pulse_onset": onset}
+    sidecar["trials"] = {"1": {}, "2": pulse} if repair == "stretch" else {"1": pulse, "2": {}}
+    found = import_recording([write(tmp_path, values, sidecar)], repair=[repair, "lengths"])
+    trial = int(repair == "stretch")
+    row = [float(found.recording[name][trial]) for name in pulse]
+    assert row == (pytest.approx([1.0, 20.0, kept]) if kept else pytest.approx([0.0, np.nan, np.nan], nan_ok=True))
+    notes = [note for note in found.notes if "is cut off: pulse_onset, pulse_level and pulse_direction" in note]
+    assert len(notes) == (kept is None)
+    export_recording(found.recording, tmp_path / "r.nc")
+    import_recording([tmp_path / "r.nc"])
+
+
+@pytest.mark.parametrize(("name", "value"), [("pulse_onset", -0.5), ("pulse_onset", 6.5), ("limit_time", 7.0)])
+def test_instants_outside_the_trial_are_refused_in_netcdf_too(tmp_path, name, value):
+    recording = laboratory_recording(handle())
+    save_recording(recording.assign_coords({name: recording[name].copy(data=[value])}), tmp_path / "r.nc")
+    message = f"r.nc: trial 0: {name} = {value:g} s; expected within the trial, which lasts 6 s, or none"
+    with pytest.raises(ValueError, match=message):
+        import_recording([tmp_path / "r.nc"])
+
+
+def test_a_workspace_limit_after_a_cut_is_none(tmp_path):
+    values, sidecar = table()[:-200], meaning()
+    sidecar["trials"] = {"1": {"limit_time": 5.5}, "2": {"limit_time": 4.5}}
+    found = import_recording([write(tmp_path, values, sidecar)], repair="lengths").recording
+    np.testing.assert_array_equal(found["limit_time"], [np.nan, 4.5])
+
+
 def test_dropped_samples_are_refused_with_their_time_and_filled_if_asked(tmp_path):
     path = write(tmp_path, np.delete(table(), slice(700, 705), axis=0), meaning(**TIMED))
     with pytest.raises(ValueError, match=r"trial '1': 5 samples are dropped at 3.495 s .*cannot be repaired"):
