@@ -8,7 +8,7 @@ from typing import NamedTuple, get_args
 import numpy as np
 import xarray as xr
 
-from armperturb.convert.alignment import in_si, joined, resampled, timed_signals
+from armperturb.convert.alignment import in_si, joined, resampled, resampled_recording, timed_signals
 from armperturb.convert.balance import check_balance, require_handle, require_signs
 from armperturb.convert.checks import (
     check_different,
@@ -69,9 +69,9 @@ def import_recording(
     Args:
       paths: CSV (.csv, .tsv, .txt), MATLAB (.mat), NumPy (.npz) or C3D files, or only recordings (.nc); one or several.
       sidecar: JSON file that says what the channels mean, see docs/recordings.md; by default that beside each file, of
-        the same name but for its ending.
-      repair: which faults to repair, see `faults`; all others are refused.
-      rate: sampling rate of the recording [Hz]; by default that of the files.
+        the same name but for its ending. Recordings have none.
+      repair: which faults to repair, see `faults`; all others are refused. Recordings are free of them.
+      rate: sampling rate of the recording but for its EMG [Hz]; by default that of the files.
       optional: what to read beside `REQUIRED_SIGNALS`, where there is any; what is wrong with other signals does not
         matter.
 
@@ -101,7 +101,7 @@ def import_recording(
         return import_trials(_read(files, sidecar, set(OPTIONAL_SIGNALS) - optional), repair, rate)
     if len(ours) < len(files):
         raise ValueError(f"{ours[0]} beside files of other formats; expected only netCDF or none (convert them first)")
-    for name, value in (("sidecar", sidecar), ("repair", repair), ("rate", rate)):
+    for name, value in (("sidecar", sidecar), ("repair", repair)):
         if value:
             raise ValueError(f"{ours[0]}: {name} = {value!r}; expected none with netCDF, which is complete itself")
     recordings = [load_recording(path, optional) for path in ours]
@@ -113,9 +113,13 @@ def import_recording(
         else:
             require_signs(recording, source=str(path))
             require_handle(recording, str(path))
-    notes = (*check_recordings(recordings, list(map(str, ours))), *physics)
+    notes = [*check_recordings(recordings, list(map(str, ours))), *physics]
+    if rate is not None:
+        for at, path in enumerate(ours):
+            recordings[at], remarks = resampled_recording(recordings[at], rate, str(path))
+            notes += remarks
     if len(ours) == 1:
-        return Imported(recordings[0], notes)
+        return Imported(recordings[0], tuple(notes))
     together = join_recordings(recordings, ", ".join(map(str, ours)), OPTIONAL_SIGNALS)
     lost = [f"{name} ({why})" if why else name for name, why in together.lost.items()]
     lost = [f"not in all files alike, so left out: {', '.join(lost)}"] if lost else []

@@ -7,6 +7,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+import xarray as xr
 from laboratory import (
     COLUMNS,
     LABELS,
@@ -30,7 +31,7 @@ from armperturb.convert.balance import check_balance
 from armperturb.convert.exporter import export_recording
 from armperturb.convert.importer import import_recording
 from armperturb.convert.sidecar import Sidecar
-from armperturb.recording import REQUIRED_SIGNALS, HighPass, make_recording
+from armperturb.recording import REQUIRED_SIGNALS, Action, HighPass, check_recording, make_recording
 from armperturb.recording_files import load_recording, save_recording
 
 D, F, X = slice(2, 4), slice(4, 6), slice(6, 8)
@@ -266,6 +267,38 @@ def test_other_rates_are_resampled_as_asked(tmp_path):
     for name in REQUIRED_SIGNALS:
         expected = truth(name)[:, inner]
         np.testing.assert_allclose(found[name].values[:, inner], expected, atol=3e-3 * np.abs(expected).max())
+
+
+def test_netcdf_is_resampled_as_other_files_are(tmp_path):
+    fine = table(rate=500.0)
+    path = write(tmp_path, fine, meaning(rate=500.0))
+    recording = import_recording(path).recording
+    emg = np.random.default_rng(0).normal(size=(N_TRIALS, 12000, 1)).astype(np.float32)
+    recording = make_recording(
+        {name: recording[name] for name in REQUIRED_SIGNALS}
+        | {"emg": emg, "shoulder_marker": recording["displacement"]},
+        {name: value for name, value in recording.coords.items() if value.dims == ("trial",)},
+        500.0,
+        emg_rate=2000.0,
+        muscles={"biceps": Action("e", 1)},
+        laboratory="A",
+    )
+    save_recording(recording.assign(valve=("time", recording["time"].data)), tmp_path / "r.nc")
+    found, notes = import_recording(tmp_path / "r.nc", rate=200.0)
+    expected = import_recording(path, rate=200.0).recording
+    for name in (*REQUIRED_SIGNALS, "time", *expected["force"].coords):
+        np.testing.assert_array_equal(found[name], expected[name])
+        assert found[name].attrs == expected[name].attrs
+    np.testing.assert_array_equal(found["shoulder_marker"], found["displacement"])
+    xr.testing.assert_identical(found["emg"], recording["emg"])
+    assert found.attrs == {"rate": 200.0, "emg_rate": 2000.0, "laboratory": "A"}
+    source = f"{tmp_path / 'r.nc'}: "
+    assert notes == (f"{source}resampled from 500 to 200 Hz", f"{source}not resampled, so left out: valve")
+    xr.testing.assert_identical(import_recording(tmp_path / "r.nc", rate=500.0)[0], load_recording(tmp_path / "r.nc"))
+    check_recording(found)
+    save_recording(recording.isel(time=slice(100)), tmp_path / "r.nc")
+    with pytest.raises(ValueError, match=r"r.nc: one sample is left at rate = 1 Hz; expected at least 2"):
+        import_recording(tmp_path / "r.nc", rate=1.0)
 
 
 WRONG = {

@@ -452,7 +452,8 @@ def test_what_does_not_go_together_is_refused(tmp_path):
     for files, options, message in (
         ([path, good], {}, "beside files of other formats; expected only netCDF or none"),
         ([good], {"sidecar": path.with_suffix(".json")}, "expected none with netCDF"),
-        ([good], {"rate": 100.0}, "rate = 100.0; expected none with netCDF"),
+        ([good], {"repair": "gaps"}, "repair = ['gaps']; expected none with netCDF"),
+        ([good], {"rate": 1e6}, "r.nc: rate = 1e+06 Hz from 200 Hz; expected at most 50 times as many samples"),
         ([path, path], {}, "comes twice; expected each recording once"),
         ([path], {"rate": 0.0}, "rate = 0.0; expected a finite number at least 1"),
         (
