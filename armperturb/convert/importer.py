@@ -167,11 +167,12 @@ def import_trials(
     """
     notes: list[str] = []
     trials: list[Timed] = []
-    paths, guesses, masses, joints, of_files = [], [], set(), set(), list[str]()
+    paths, guesses, repairs, masses, joints, of_files = [], [], list[str](), set(), set(), list[str]()
     for path, meaning, raw_trials in files:
         paths.append(path)
         remarks = [*meaning.notes, *other_units(raw_trials, meaning)]
         guesses += [note for note in remarks if note not in guesses]
+        repairs += meaning.repairs
         masses.add(meaning.mass)
         joints.add(meaning.joint)
         aligned = (_aligned(path, raw, meaning, repair, rate, notes) for raw in raw_trials)
@@ -185,8 +186,8 @@ def import_trials(
         raise ValueError(f"{named}: labels.joint = {several}; expected trials of one joint")
     recording = joined(trials, repair, notes, joints.pop())
     recording.attrs["source"] = ", ".join(path.name for path in paths)
-    if notes:
-        recording.attrs["repairs"] = "\n".join(notes)
+    if of_all := dict.fromkeys((*repairs, *notes)):  # one sidecar may be that of several files
+        recording.attrs["repairs"] = "\n".join(of_all)
     if len(masses) > 1:
         raise ValueError(f"{named}: environment.m_env differs between sidecars; expected one manipulator")
     notes += check_different([recording], [trial.where for trial in trials], of_files)

@@ -708,9 +708,11 @@ def test_exported_and_read_back_a_recording_is_the_same(tmp_path, ending):
     labels |= {"pulse_level": [0.0, 1.0], "pulse_direction": [np.nan, 20.0], "pulse_onset": [np.nan, 4.0]}
     labels |= {"limit_time": [np.nan] * 2}
     recording = make_recording(signals, labels, RATE, emg_rate=3 * RATE, emg_lead=2e-3, emg_highpass=HighPass(20.0, 2))
+    recording.attrs["repairs"] = "a gap: repaired\nall are cut to the shortest"
     export_recording(recording, tmp_path / f"r.{ending}")
     found, notes = import_recording([tmp_path / f"r.{ending}"])
     assert notes == ()
+    assert found.attrs["repairs"] == recording.attrs["repairs"]
     for name in (*recording.data_vars, *recording.coords):
         np.testing.assert_array_equal(found[name].values, recording[name].values)
     said = ("lead", "highpass", "highpass_order")
@@ -720,6 +722,18 @@ def test_exported_and_read_back_a_recording_is_the_same(tmp_path, ending):
         (tmp_path / "r_emg.csv").write_text(text)
         with pytest.raises(ValueError, match=r"r_emg.csv: trials 1, 3; expected 1, 2 as r.csv has"):
             import_recording([tmp_path / "r.csv"])
+
+
+def test_repairs_before_and_after_an_export_are_kept(tmp_path):
+    values = table()
+    values[600:603, 6] = np.nan
+    first = import_recording(write(tmp_path, values), repair="gaps")
+    export_recording(first.recording, tmp_path / "r.csv")
+    values = (tmp_path / "r.csv").read_text().splitlines()
+    (tmp_path / "r.csv").write_text("\n".join(values[:-10]))
+    again = import_recording(tmp_path / "r.csv", repair="lengths")
+    assert again.recording.attrs["repairs"].splitlines() == [*first.notes, *again.notes]
+    assert "has a gap of 0.015 s at 3 s: repaired" in first.notes[0]
 
 
 def test_the_example_of_the_documentation_is_a_sidecar(tmp_path):

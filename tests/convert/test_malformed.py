@@ -150,6 +150,7 @@ EMG = {"channels": {name: name for name in MUSCLES}, "unit": "V", "rate": 2000}
 SIDECARS = {
     "no sidecar": (lambda f: without(write(f, VALUES)), "no such file, or a folder; expected the sidecar"),
     "empty sidecar": (resaid(lambda b: b""), "no readable JSON"),
+    "repairs in a text": (redefined(lambda s: s.update(repairs="all")), "repairs = 'all'; expected a list of texts"),
     "sidecar cut off": (resaid(lambda b: b[: len(b) // 2]), "no readable JSON"),
     "sidecar no text": (resaid(lambda b: b"\xff\xfe\x00" + b), "no readable JSON"),
     "sidecar of brackets": (resaid(lambda b: b"[" * 100_000), "no readable JSON"),
