@@ -23,7 +23,7 @@ class Convert(Command):
     """Faults to repair instead of refusing them: gaps and dropped samples of up to 0.1 s, an uneven clock, unequal
     lengths; stretch keeps the longest part without longer gaps, trials leaves out trials with other faults."""
     rate: float | None = None
-    """Sampling rate of the recording [Hz]; by default that of the files."""
+    """Sampling rate of the recording but for its EMG [Hz], also where it is netCDF; by default that of the files."""
     checksum: bool = False
     """Print the SHA-256 of each file that is written, in lines as `sha256sum -c` reads them."""
     overwrite: bool = False

@@ -1,5 +1,6 @@
 """From channels to signals on even times, in SI and our axes, and from trials of all files to one recording."""
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
@@ -16,7 +17,7 @@ from armperturb.convert.faults import LARGEST_RATIO, Fault, Timed, even_times, o
 from armperturb.convert.raw import RawTrial
 from armperturb.convert.sidecar import FIRST, Sidecar, Signal
 from armperturb.convert.tables import Repair
-from armperturb.recording import TRIAL_COORDINATES, make_recording
+from armperturb.recording import SIGNALS, TRIAL_COORDINATES, make_recording
 
 MOST_TIMES = 50
 """Most samples in the place of one."""
@@ -134,25 +135,59 @@ def resampled(trial: Timed, rate: float | None) -> Timed:
         several = ", ".join(f"{name} at {of_signal:g} Hz" for name, of_signal in rates.items())
         raise ValueError(f"{trial.where}: {several}; expected one rate (convert --rate chooses it)")
     target = present.pop() if rate is None else rate
-    signals = {name: trial.signals[name] for name in rates}
-    for name, of_signal in rates.items():
-        if of_signal == target:
-            continue
-        if target > MOST_TIMES * of_signal:
-            raise ValueError(
-                f"{trial.where}: rate = {target:g} Hz from {of_signal:g} Hz; expected at most {MOST_TIMES} times as "
-                "many samples, which tell no more"
-            )
-        values, ratio = signals[name], Fraction(target / of_signal).limit_denominator(MOST_RESAMPLING)
-        off = abs(float(ratio) / (target / of_signal) - 1.0) * len(values)
-        if ratio.numerator > MOST_RESAMPLING or off > 0.01:
-            raise ValueError(
-                f"{trial.where}: rate = {target:g} Hz from {of_signal:g} Hz; expected a ratio of whole numbers"
-            )
-        signals[name] = signal.resample_poly(values, ratio.numerator, ratio.denominator, axis=0, padtype="line")
+    signals = {name: _at_rate(trial.where, trial.signals[name], rates[name], target, 0) for name in rates}
     n_time = min(map(len, signals.values()))
     cut = {name: values[:n_time] for name, values in signals.items()}
     return replace(trial, signals={**trial.signals, **cut}, rates={**trial.rates, **dict.fromkeys(rates, target)})
+
+
+def resampled_recording(recording: xr.Dataset, rate: float, source: str) -> tuple[xr.Dataset, list[str]]:
+    """A recording with all signals but EMG at another rate.
+
+    Args:
+      recording: checked.
+      rate: that is wanted [Hz].
+      source: where it comes from, for messages.
+
+    Returns:
+      The recording, with labels and attributes as they were, and what happened to it, a sentence each.
+
+    Raises:
+      ValueError: the ratio of the rates is too large or not one of whole numbers.
+    """
+    before = float(recording.attrs["rate"])
+    if rate == before:
+        return recording, []
+    signals = {
+        name: (variable.dims, _at_rate(source, variable.values, before, rate, 1), variable.attrs)
+        for name, variable in recording.data_vars.items()
+        if name in SIGNALS and "time" in variable.dims
+    }
+    n_time = signals["displacement"][1].shape[1]
+    if n_time < 2:
+        raise ValueError(f"{source}: one sample is left at rate = {rate:g} Hz; expected at least 2")
+    time = ("time", np.arange(n_time) / rate, recording["time"].attrs)
+    changed = recording.drop_dims("time").assign(signals).assign_coords(time=time).assign_attrs(rate=rate)
+    notes = [f"{source}: resampled from {before:g} to {rate:g} Hz"]
+    if lost := [str(name) for name in recording.variables if name not in changed.variables]:
+        notes.append(f"{source}: not resampled, so left out: {', '.join(lost)}")
+    return changed, notes
+
+
+def _at_rate(where: str, values: Array, of_signal: float, target: float, axis: int) -> Array:
+    """Values along an axis of time at another rate [Hz]; raises as `resampled`."""
+    if of_signal == target:
+        return values
+    if target > MOST_TIMES * of_signal:
+        raise ValueError(
+            f"{where}: rate = {target:g} Hz from {of_signal:g} Hz; expected at most {MOST_TIMES} times as many "
+            "samples, which tell no more"
+        )
+    ratio = Fraction(target / of_signal).limit_denominator(MOST_RESAMPLING)
+    off = abs(float(ratio) / (target / of_signal) - 1.0) * values.shape[axis]
+    if ratio.numerator > MOST_RESAMPLING or off > 0.01:
+        raise ValueError(f"{where}: rate = {target:g} Hz from {of_signal:g} Hz; expected a ratio of whole numbers")
+    return np.asarray(signal.resample_poly(values, ratio.numerator, ratio.denominator, axis=axis, padtype="line"))
 
 
 def joined(
@@ -164,7 +199,7 @@ def joined(
       trials: at least one.
       joint: of a recording of one axis; None if unknown.
       repair: "lengths" cuts trials of unequal length to the shortest.
-      notes: to which such a cut is added.
+      notes: to which such a cut is added, and each pulse that a cut left out.
 
     Raises:
       ValueError: trials differ in signals, rates or length.
@@ -198,7 +233,8 @@ def joined(
         signals[name] = np.stack([trial.signals[name][:least] for trial in trials])
     if signals["displacement"].shape[1] < 2:
         raise ValueError(f"{first.where}: one sample is left; expected at least 2")
-    labels = _coordinates([trial.labels for trial in trials])
+    duration = signals["displacement"].shape[1] / first.rates["displacement"]
+    labels = _coordinates([_labels_within(trial, duration, notes) for trial in trials])
     return make_recording(
         signals,
         labels,
@@ -211,6 +247,21 @@ def joined(
         joint=joint,
         angular=first.units["displacement"] == "rad",
     )
+
+
+def _labels_within(trial: Timed, duration: float, notes: list[str]) -> dict[str, Any]:
+    """Labels of a trial that may have been cut: without those of a pulse, or of a limit, that was cut off."""
+    labels = dict(trial.labels)
+    if labels.get("limit_time", 0.0) > duration:
+        del labels["limit_time"]
+    onset = labels.get("pulse_onset", math.nan)
+    if onset < 0.0 or onset > duration:
+        notes.append(
+            f"{trial.where}: the pulse, at {onset:.6g} s of the {duration:.6g} s that are kept, is cut off: "
+            "pulse_onset, pulse_level and pulse_direction are left out"
+        )
+        labels = {name: value for name, value in labels.items() if not name.startswith("pulse_")}
+    return labels
 
 
 def _coordinates(labels: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:

@@ -1,6 +1,8 @@
 """Refuses what no arm and manipulator do, as a wrong unit or start makes them do."""
 
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -151,13 +153,13 @@ def check_recordings(recordings: Sequence[xr.Dataset], files: Sequence[str]) -> 
 
 
 def require_plausible(trial: Timed) -> None:
-    """Refuse forces, paths and instants that are out of range.
+    """Refuse forces and paths that are out of range.
 
     Args:
       trial: in SI and our axes.
 
     Raises:
-      ValueError: a signal is too large, displacement is not from its start, or an instant lies outside the trial.
+      ValueError: a signal is too large, or displacement is not from its start.
     """
     where, signals, rates, labels = trial.where, trial.signals, trial.rates, trial.labels
     reach = REACH * (labels.get("l_h", LONGEST_SEGMENT) + labels.get("l_f", LONGEST_SEGMENT))
@@ -183,16 +185,29 @@ def require_plausible(trial: Timed) -> None:
                 f"{where}: displacement {axis} is {low:.4g} to {high:.4g} m throughout; expected the path from the "
                 'start of the trial (for places in a room "start": "first" or the place of the start)'
             )
-    duration = len(path) / rates["displacement"]
+
+
+def require_instants(where: str, labels: Mapping[str, Any], duration: float) -> None:
+    """Refuse instants that lie outside their trial.
+
+    Args:
+      where: file and trial, for the message.
+      labels: coordinate along `trial` to value.
+      duration: of the trial [s].
+
+    Raises:
+      ValueError: the pulse begins, or the handle reached the limit of the workspace, before the trial or after it.
+    """
     for name in ("pulse_onset", "limit_time"):
-        if labels.get(name, 0.0) > duration:
+        instant = float(labels.get(name, math.nan))
+        if instant < 0.0 or instant > duration + 1e-9:
             raise ValueError(
-                f"{where}: {name} = {labels[name]:g} s; expected within the trial, which lasts {duration:g} s"
+                f"{where}: {name} = {instant:g} s; expected within the trial, which lasts {duration:g} s, or none"
             )
 
 
 def require_plausible_recording(recording: xr.Dataset, source: str) -> None:
-    """Refuse a recording with a trial that is out of range; raises as `require_plausible`."""
+    """Refuse a recording with a trial that is out of range; raises as `require_plausible` and `require_instants`."""
     signals = {name: recording[name] for name in SIGNALS if name in recording.data_vars}
     rates = {name: float(recording.attrs[CLOCKS[SIGNALS[name][0][0]]]) for name in signals}
     for trial in range(recording.sizes["trial"]):
@@ -200,6 +215,8 @@ def require_plausible_recording(recording: xr.Dataset, source: str) -> None:
         for name in _POSTURE:
             if not np.isnan(labels[name]):
                 require_number(where, name, labels[name], **RANGES["Subject"][name])
+        instants = {name: recording[name].values[trial] for name in ("pulse_onset", "limit_time")}
+        require_instants(where, instants, recording.sizes["time"] / float(recording.attrs["rate"]))
         require_plausible(
             Timed(
                 where=where,

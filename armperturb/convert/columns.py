@@ -42,8 +42,12 @@ class Column(NamedTuple):
 
 
 def axis_of(words: Sequence[str]) -> tuple[tuple[str, ...], str | None]:
-    """Words without that for the axis, and the axis: force x, x force, Fx, force 1."""
+    """Words without that for the axis, and the axis: force x, x force, Fx, force 1, and Fx1 of the first sensor."""
     axes = {"x": "x", "y": "y", "1": "x", "2": "y"}
+    if len(words) > 1 and words[-1].isdecimal() and words[-2][-1] in "xy":
+        stem = tuple(word for word in (*words[:-2], words[-2][:-1]) if word)
+        if stem not in ((), ("m",)):  # x1 may be the first axis, and Mx1 is a moment of the first sensor
+            return (*stem, words[-1]), words[-2][-1]
     for at in (-1, 0):
         if words and words[at] in axes:
             return tuple(words[:-1] if at else words[1:]), axes[words[at]]

@@ -159,11 +159,14 @@ def _sidecar(recording: xr.Dataset, channels: Mapping[str, Sequence[str]]) -> di
                 name: {"joints": action.joints, "sign": action.sign}
                 for name, action in muscle_actions(recording).items()
             }
-    rate = float(recording.attrs["rate"])
     if is_one_axis(recording):
         labels = {name: recording.attrs[name] for name in ("joint",) if name in recording.attrs}
-        return {"rate": rate, "servo": recording.attrs["servo"], "signals": signals, "labels": labels}
-    return {"rate": rate, "axes": {"x": "right", "y": "forward"}, "signals": signals, "labels": {}}
+        kind: dict[str, Any] = {"servo": recording.attrs["servo"]}
+    else:
+        labels, kind = {}, {"axes": {"x": "right", "y": "forward"}}
+    meaning = {"rate": float(recording.attrs["rate"]), **kind, "signals": signals, "labels": labels}
+    repairs = str(recording.attrs.get("repairs", "")).splitlines()
+    return {**meaning, "repairs": repairs} if repairs else meaning
 
 
 def _labels(recording: xr.Dataset) -> dict[str, Array]:

@@ -8,12 +8,13 @@ from typing import NamedTuple, get_args
 import numpy as np
 import xarray as xr
 
-from armperturb.convert.alignment import in_si, joined, resampled, timed_signals
+from armperturb.convert.alignment import in_si, joined, resampled, resampled_recording, timed_signals
 from armperturb.convert.balance import check_balance, require_handle, require_signs
 from armperturb.convert.checks import (
     check_different,
     check_recordings,
     other_units,
+    require_instants,
     require_plausible,
     require_plausible_recording,
 )
@@ -68,9 +69,9 @@ def import_recording(
     Args:
       paths: CSV (.csv, .tsv, .txt), MATLAB (.mat), NumPy (.npz) or C3D files, or only recordings (.nc); one or several.
       sidecar: JSON file that says what the channels mean, see docs/recordings.md; by default that beside each file, of
-        the same name but for its ending.
-      repair: which faults to repair, see `faults`; all others are refused.
-      rate: sampling rate of the recording [Hz]; by default that of the files.
+        the same name but for its ending. Recordings have none.
+      repair: which faults to repair, see `faults`; all others are refused. Recordings are free of them.
+      rate: sampling rate of the recording but for its EMG [Hz]; by default that of the files.
       optional: what to read beside `REQUIRED_SIGNALS`, where there is any; what is wrong with other signals does not
         matter.
 
@@ -100,7 +101,7 @@ def import_recording(
         return import_trials(_read(files, sidecar, set(OPTIONAL_SIGNALS) - optional), repair, rate)
     if len(ours) < len(files):
         raise ValueError(f"{ours[0]} beside files of other formats; expected only netCDF or none (convert them first)")
-    for name, value in (("sidecar", sidecar), ("repair", repair), ("rate", rate)):
+    for name, value in (("sidecar", sidecar), ("repair", repair)):
         if value:
             raise ValueError(f"{ours[0]}: {name} = {value!r}; expected none with netCDF, which is complete itself")
     recordings = [load_recording(path, optional) for path in ours]
@@ -112,9 +113,13 @@ def import_recording(
         else:
             require_signs(recording, source=str(path))
             require_handle(recording, str(path))
-    notes = (*check_recordings(recordings, list(map(str, ours))), *physics)
+    notes = [*check_recordings(recordings, list(map(str, ours))), *physics]
+    if rate is not None:
+        for at, path in enumerate(ours):
+            recordings[at], remarks = resampled_recording(recordings[at], rate, str(path))
+            notes += remarks
     if len(ours) == 1:
-        return Imported(recordings[0], notes)
+        return Imported(recordings[0], tuple(notes))
     together = join_recordings(recordings, ", ".join(map(str, ours)), OPTIONAL_SIGNALS)
     lost = [f"{name} ({why})" if why else name for name, why in together.lost.items()]
     lost = [f"not in all files alike, so left out: {', '.join(lost)}"] if lost else []
@@ -162,11 +167,12 @@ def import_trials(
     """
     notes: list[str] = []
     trials: list[Timed] = []
-    paths, guesses, masses, joints, of_files = [], [], set(), set(), list[str]()
+    paths, guesses, repairs, masses, joints, of_files = [], [], list[str](), set(), set(), list[str]()
     for path, meaning, raw_trials in files:
         paths.append(path)
         remarks = [*meaning.notes, *other_units(raw_trials, meaning)]
         guesses += [note for note in remarks if note not in guesses]
+        repairs += meaning.repairs
         masses.add(meaning.mass)
         joints.add(meaning.joint)
         aligned = (_aligned(path, raw, meaning, repair, rate, notes) for raw in raw_trials)
@@ -180,8 +186,8 @@ def import_trials(
         raise ValueError(f"{named}: labels.joint = {several}; expected trials of one joint")
     recording = joined(trials, repair, notes, joints.pop())
     recording.attrs["source"] = ", ".join(path.name for path in paths)
-    if notes:
-        recording.attrs["repairs"] = "\n".join(notes)
+    if of_all := dict.fromkeys((*repairs, *notes)):  # one sidecar may be that of several files
+        recording.attrs["repairs"] = "\n".join(of_all)
     if len(masses) > 1:
         raise ValueError(f"{named}: environment.m_env differs between sidecars; expected one manipulator")
     notes += check_different([recording], [trial.where for trial in trials], of_files)
@@ -200,6 +206,8 @@ def _aligned(
     """A trial in SI, repaired as asked; None if it is left out."""
     where = f"{path}: trial {raw.name!r}" if raw.name != path.name else str(path)
     timed, faults = timed_signals(where, raw, meaning)
+    duration = max(len(values) / timed.rates[name] for name, values in timed.signals.items() if name != "emg")
+    require_instants(where, timed.labels, duration)  # before anything is cut
     timed = without_padding(timed)
     if "stretch" in repair:
         timed, part = longest_stretch(timed)

@@ -112,6 +112,7 @@ class Sidecar:
       servo: what the device of a recording of one axis does, see `recording.SERVOS`; None with two axes.
       joint: of a recording of one axis; None if unknown.
       dialect: of a text file.
+      repairs: of what was exported to the file.
       notes: that fields are guesses which nobody has confirmed, if there are any.
     """
 
@@ -126,6 +127,7 @@ class Sidecar:
     servo: str | None
     joint: str | None
     dialect: Dialect
+    repairs: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
     @classmethod
@@ -166,22 +168,9 @@ class Sidecar:
             value and what was expected.
         """
         top = Fields(content, str(path), "")
-        known = (
-            "rate",
-            "time",
-            "trial",
-            "axes",
-            "servo",
-            "signals",
-            "labels",
-            "trials",
-            "environment",
-            "csv",
-            "guessed",
-        )
-        # A recording of one axis says what its device does, and has no directions.
-        kind, other = ("servo", "axes") if "servo" in top else ("axes", "servo")
-        top.require_only([name for name in known if name != other], (kind, "signals", "labels"))
+        kind = "servo" if "servo" in top else "axes"  # a recording of one axis has no directions
+        known = ("rate", "time", "trial", kind, "signals", "labels", "trials", "environment", "csv", "guessed")
+        top.require_only((*known, "repairs"), (kind, "signals", "labels"))
         guessed = top.fields("guessed")
         _require_closed(top, {name: guessed.text(name) for name in guessed})
         rate, time, mass = top.rate("rate"), None, None
@@ -229,6 +218,7 @@ class Sidecar:
             servo=servo,
             joint=joint,
             dialect=_dialect(top.fields("csv", Dialect._fields)),
+            repairs=_repairs(top),
             notes=(f"{unconfirmed} (delete what you have checked from guessed)",) if guessed else (),
         )
 
@@ -428,6 +418,13 @@ def _labels(fields: Fields) -> dict[str, Any]:
                 raise ValueError(f"{fields.where(name)} = {value!r}; expected a whole number")
             labels[name] = int(number) if is_whole else number
     return labels
+
+
+def _repairs(fields: Fields) -> tuple[str, ...]:
+    repairs = fields.get("repairs", [])
+    if not isinstance(repairs, list) or not all(isinstance(repair, str) for repair in repairs):
+        raise TypeError(f"{fields.where('repairs')} = {repairs!r:.60}; expected a list of texts, as convert writes it")
+    return tuple(repairs)
 
 
 def _dialect(fields: Fields) -> Dialect:

@@ -352,6 +352,8 @@ def _c3d(file: IO[bytes], names: Collection[str] | None, budget: Budget) -> dict
             unit = units[:1] if group == "POINT" else units[i : i + 1]  # one for all coordinates
             for letter, values in zip(letters, of_group[:, i], strict=True):
                 name = f"{label}{letter}"
+                if name in channels and names is not None and name in names:
+                    raise Refused(f"the channel {name!r:.60} comes twice; expected it once (rename one in the file)")
                 of_file = {"values": values, "rate": float(rate[0]) if rate else 0.0, "unit": "".join(unit)}
                 channels[name] = of_file if names is None or name in names else None
     return channels

@@ -7,6 +7,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+import xarray as xr
 from laboratory import (
     COLUMNS,
     LABELS,
@@ -30,7 +31,7 @@ from armperturb.convert.balance import check_balance
 from armperturb.convert.exporter import export_recording
 from armperturb.convert.importer import import_recording
 from armperturb.convert.sidecar import Sidecar
-from armperturb.recording import REQUIRED_SIGNALS, HighPass, make_recording
+from armperturb.recording import REQUIRED_SIGNALS, Action, HighPass, check_recording, make_recording
 from armperturb.recording_files import load_recording, save_recording
 
 D, F, X = slice(2, 4), slice(4, 6), slice(6, 8)
@@ -268,6 +269,38 @@ def test_other_rates_are_resampled_as_asked(tmp_path):
         np.testing.assert_allclose(found[name].values[:, inner], expected, atol=3e-3 * np.abs(expected).max())
 
 
+def test_netcdf_is_resampled_as_other_files_are(tmp_path):
+    fine = table(rate=500.0)
+    path = write(tmp_path, fine, meaning(rate=500.0))
+    recording = import_recording(path).recording
+    emg = np.random.default_rng(0).normal(size=(N_TRIALS, 12000, 1)).astype(np.float32)
+    recording = make_recording(
+        {name: recording[name] for name in REQUIRED_SIGNALS}
+        | {"emg": emg, "shoulder_marker": recording["displacement"]},
+        {name: value for name, value in recording.coords.items() if value.dims == ("trial",)},
+        500.0,
+        emg_rate=2000.0,
+        muscles={"biceps": Action("e", 1)},
+        laboratory="A",
+    )
+    save_recording(recording.assign(valve=("time", recording["time"].data)), tmp_path / "r.nc")
+    found, notes = import_recording(tmp_path / "r.nc", rate=200.0)
+    expected = import_recording(path, rate=200.0).recording
+    for name in (*REQUIRED_SIGNALS, "time", *expected["force"].coords):
+        np.testing.assert_array_equal(found[name], expected[name])
+        assert found[name].attrs == expected[name].attrs
+    np.testing.assert_array_equal(found["shoulder_marker"], found["displacement"])
+    xr.testing.assert_identical(found["emg"], recording["emg"])
+    assert found.attrs == {"rate": 200.0, "emg_rate": 2000.0, "laboratory": "A"}
+    source = f"{tmp_path / 'r.nc'}: "
+    assert notes == (f"{source}resampled from 500 to 200 Hz", f"{source}not resampled, so left out: valve")
+    xr.testing.assert_identical(import_recording(tmp_path / "r.nc", rate=500.0)[0], load_recording(tmp_path / "r.nc"))
+    check_recording(found)
+    save_recording(recording.isel(time=slice(100)), tmp_path / "r.nc")
+    with pytest.raises(ValueError, match=r"r.nc: one sample is left at rate = 1 Hz; expected at least 2"):
+        import_recording(tmp_path / "r.nc", rate=1.0)
+
+
 WRONG = {
     "the sign of force were turned": lambda v: np.hstack([v[:, :4], -v[:, F], v[:, X]]),
     "the sign of displacement were turned": lambda v: np.hstack([v[:, :6], -v[:, X]]),
@@ -465,6 +498,47 @@ def test_a_trial_is_cut_to_its_longest_stretch_without_long_gaps(tmp_path):
     assert_is_the_laboratory(whole.recording)
 
 
+@pytest.mark.parametrize(
+    ("gap", "onset", "repair", "kept"),
+    [
+        (slice(1000, 1100), 5.6, "stretch", None),
+        (slice(300, 400), 1.0, "stretch", None),
+        (slice(300, 400), 3.0, "stretch", 1.0),
+        (slice(1000, 1200), 5.6, "lengths", None),
+        (slice(1000, 1200), 5.0, "lengths", 5.0),
+    ],
+)
+def test_a_pulse_that_a_cut_leaves_out_has_no_labels_any_more(tmp_path, gap, onset, repair, kept):
+    values, sidecar = table(), meaning()
+    values[N_TIME:][gap, 2:] = np.nan
+    pulse = {"pulse_level": 1, "pulse_direction": 20, "pulse_onset": onset}
+    sidecar["trials"] = {"1": {}, "2": pulse} if repair == "stretch" else {"1": pulse, "2": {}}
+    found = import_recording([write(tmp_path, values, sidecar)], repair=[repair, "lengths"])
+    trial = int(repair == "stretch")
+    row = [float(found.recording[name][trial]) for name in pulse]
+    assert row == (pytest.approx([1.0, 20.0, kept]) if kept else pytest.approx([0.0, np.nan, np.nan], nan_ok=True))
+    notes = [note for note in found.notes if "is cut off: pulse_onset, pulse_level and pulse_direction" in note]
+    assert len(notes) == (kept is None)
+    export_recording(found.recording, tmp_path / "r.nc")
+    import_recording([tmp_path / "r.nc"])
+
+
+@pytest.mark.parametrize(("name", "value"), [("pulse_onset", -0.5), ("pulse_onset", 6.5), ("limit_time", 7.0)])
+def test_instants_outside_the_trial_are_refused_in_netcdf_too(tmp_path, name, value):
+    recording = laboratory_recording(handle())
+    save_recording(recording.assign_coords({name: recording[name].copy(data=[value])}), tmp_path / "r.nc")
+    message = f"r.nc: trial 0: {name} = {value:g} s; expected within the trial, which lasts 6 s, or none"
+    with pytest.raises(ValueError, match=message):
+        import_recording([tmp_path / "r.nc"])
+
+
+def test_a_workspace_limit_after_a_cut_is_none(tmp_path):
+    values, sidecar = table()[:-200], meaning()
+    sidecar["trials"] = {"1": {"limit_time": 5.5}, "2": {"limit_time": 4.5}}
+    found = import_recording([write(tmp_path, values, sidecar)], repair="lengths").recording
+    np.testing.assert_array_equal(found["limit_time"], [np.nan, 4.5])
+
+
 def test_dropped_samples_are_refused_with_their_time_and_filled_if_asked(tmp_path):
     path = write(tmp_path, np.delete(table(), slice(700, 705), axis=0), meaning(**TIMED))
     with pytest.raises(ValueError, match=r"trial '1': 5 samples are dropped at 3.495 s .*cannot be repaired"):
@@ -634,9 +708,11 @@ def test_exported_and_read_back_a_recording_is_the_same(tmp_path, ending):
     labels |= {"pulse_level": [0.0, 1.0], "pulse_direction": [np.nan, 20.0], "pulse_onset": [np.nan, 4.0]}
     labels |= {"limit_time": [np.nan] * 2}
     recording = make_recording(signals, labels, RATE, emg_rate=3 * RATE, emg_lead=2e-3, emg_highpass=HighPass(20.0, 2))
+    recording.attrs["repairs"] = "a gap: repaired\nall are cut to the shortest"
     export_recording(recording, tmp_path / f"r.{ending}")
     found, notes = import_recording([tmp_path / f"r.{ending}"])
     assert notes == ()
+    assert found.attrs["repairs"] == recording.attrs["repairs"]
     for name in (*recording.data_vars, *recording.coords):
         np.testing.assert_array_equal(found[name].values, recording[name].values)
     said = ("lead", "highpass", "highpass_order")
@@ -646,6 +722,18 @@ def test_exported_and_read_back_a_recording_is_the_same(tmp_path, ending):
         (tmp_path / "r_emg.csv").write_text(text)
         with pytest.raises(ValueError, match=r"r_emg.csv: trials 1, 3; expected 1, 2 as r.csv has"):
             import_recording([tmp_path / "r.csv"])
+
+
+def test_repairs_before_and_after_an_export_are_kept(tmp_path):
+    values = table()
+    values[600:603, 6] = np.nan
+    first = import_recording(write(tmp_path, values), repair="gaps")
+    export_recording(first.recording, tmp_path / "r.csv")
+    values = (tmp_path / "r.csv").read_text().splitlines()
+    (tmp_path / "r.csv").write_text("\n".join(values[:-10]))
+    again = import_recording(tmp_path / "r.csv", repair="lengths")
+    assert again.recording.attrs["repairs"].splitlines() == [*first.notes, *again.notes]
+    assert "has a gap of 0.015 s at 3 s: repaired" in first.notes[0]
 
 
 def test_the_example_of_the_documentation_is_a_sidecar(tmp_path):

@@ -150,6 +150,7 @@ EMG = {"channels": {name: name for name in MUSCLES}, "unit": "V", "rate": 2000}
 SIDECARS = {
     "no sidecar": (lambda f: without(write(f, VALUES)), "no such file, or a folder; expected the sidecar"),
     "empty sidecar": (resaid(lambda b: b""), "no readable JSON"),
+    "repairs in a text": (redefined(lambda s: s.update(repairs="all")), "repairs = 'all'; expected a list of texts"),
     "sidecar cut off": (resaid(lambda b: b[: len(b) // 2]), "no readable JSON"),
     "sidecar no text": (resaid(lambda b: b"\xff\xfe\x00" + b), "no readable JSON"),
     "sidecar of brackets": (resaid(lambda b: b"[" * 100_000), "no readable JSON"),
@@ -452,7 +453,8 @@ def test_what_does_not_go_together_is_refused(tmp_path):
     for files, options, message in (
         ([path, good], {}, "beside files of other formats; expected only netCDF or none"),
         ([good], {"sidecar": path.with_suffix(".json")}, "expected none with netCDF"),
-        ([good], {"rate": 100.0}, "rate = 100.0; expected none with netCDF"),
+        ([good], {"repair": "gaps"}, "repair = ['gaps']; expected none with netCDF"),
+        ([good], {"rate": 1e6}, "r.nc: rate = 1e+06 Hz from 200 Hz; expected at most 50 times as many samples"),
         ([path, path], {}, "comes twice; expected each recording once"),
         ([path], {"rate": 0.0}, "rate = 0.0; expected a finite number at least 1"),
         (

@@ -12,6 +12,7 @@ from test_convert import in_matlab, truth, v73, write_c3d
 
 from armperturb import cli
 from armperturb.analysis.fit.identify import identify
+from armperturb.convert.columns import axis_of
 from armperturb.convert.importer import import_recording
 from armperturb.convert.template import write_sidecar
 from armperturb.recording import REQUIRED_SIGNALS
@@ -76,6 +77,34 @@ def test_a_table_with_ordinary_names_works_as_it_is(tmp_path, header, by_hand):
     del sidecar["guessed"]
     written.path.write_text(json.dumps(sidecar))
     assert import_recording([path]).notes == ()
+
+
+@pytest.mark.parametrize(
+    ("words", "stem", "axis"),
+    [
+        (("fx", "1"), ("f", "1"), "x"),
+        (("fy", "2"), ("f", "2"), "y"),
+        (("force", "y", "1"), ("force", "1"), "y"),
+        (("fz", "1"), ("fz",), "x"),
+        (("mx", "1"), ("mx",), "x"),
+        (("x", "1"), ("x",), "x"),
+        (("force", "2"), ("force",), "y"),
+        (("fx",), ("f",), "x"),
+    ],
+)
+def test_a_letter_before_a_number_is_the_axis(words, stem, axis):
+    assert axis_of(words) == (stem, axis)
+
+
+def test_names_of_a_sensor_of_six_axes_are_read(tmp_path):
+    values = table(1)[:1000]
+    six = np.column_stack([values[:, F], values[:, 1:2] + 20.0, values[:, :3] / 9.0])
+    path = tmp_path / "lab.csv"
+    names = ["t", "motor_x", "motor_y", *(f"{name}1" for name in ("Fx", "Fy", "Fz", "Mx", "My", "Mz")), "X", "Y"]
+    path.write_text(as_text(np.column_stack([values[:, 1:4], six, values[:, X]]), names))
+    signals = json.loads(write_sidecar(path).path.read_text())["signals"]
+    channels = {name: [*signals[name]["channels"].values()] for name in signals}
+    assert channels == {"perturbation": ["motor_x", "motor_y"], "force": ["Fx1", "Fy1"], "displacement": ["X", "Y"]}
 
 
 def test_labels_in_columns_other_dialects_and_places_in_a_room(tmp_path):

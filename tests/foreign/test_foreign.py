@@ -278,3 +278,18 @@ def test_c3d_frames_that_are_stated_wrongly_and_markers_without_forces(tmp_path)
     path.write_bytes(whole[:-400])
     with pytest.raises(ValueError, match="cut off or damaged"):
         read_foreign(path)
+
+
+def test_c3d_channels_of_one_label_are_refused_where_they_are_wanted(tmp_path):
+    ezc3d = pytest.importorskip("ezc3d")
+    file = ezc3d.c3d()
+    file["parameters"]["POINT"]["RATE"]["value"] = [100.0]
+    file["parameters"]["ANALOG"]["RATE"]["value"] = [100.0]
+    file["parameters"]["ANALOG"]["LABELS"]["value"] = ["Fx", "Fy", "Fx"]
+    file["data"]["points"] = np.empty((4, 0, 50))
+    file["data"]["analogs"] = np.arange(150.0).reshape(1, 3, 50)
+    path = tmp_path / "plates.c3d"
+    file.write(str(path))
+    with pytest.raises(Refused, match=r"the channel 'Fx' comes twice; expected it once"):
+        parse(str(path), ["Fx", "Fy"], foreign.LARGEST)
+    assert parse(str(path), ["Fy"], foreign.LARGEST)["Fy"]["values"].tolist() == list(range(50, 100))

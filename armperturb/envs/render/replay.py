@@ -13,7 +13,7 @@ from armperturb.analysis.measures.kinematics import joint_rotations, start_postu
 from armperturb.arrays import Array
 from armperturb.environment import Strap
 from armperturb.models.rig import build_model
-from armperturb.recording import TRIAL_COORDINATES
+from armperturb.recording import TRIAL_COORDINATES, is_one_axis
 from armperturb.subject import RELAX
 
 BODY = ("l_h", "l_f", "theta_s_deg", "theta_e_deg")
@@ -67,13 +67,16 @@ class Replay:
 
         Raises:
           TypeError: trial is no whole number.
-          ValueError: there is no such trial, it does not say what the arm looks like, or its handle is out of reach.
+          ValueError: there is no such trial, the recording is of one axis, the trial does not say what the arm looks
+            like, or its handle is out of reach.
         """
         n_trials = recording.sizes["trial"]
         if isinstance(trial, bool) or not isinstance(trial, int | np.integer):
             raise TypeError(f"{source}: trial = {trial!r}; expected a whole number")
         if not 0 <= trial < n_trials:
             raise ValueError(f"{source}: trial = {trial}; expected 0 to {n_trials - 1}")
+        if is_one_axis(recording):
+            raise ValueError(f"{source}: a recording of one axis cannot be drawn as an arm; expected one of two axes")
         chosen = recording.isel(trial=[int(trial)])
         label = {name: chosen[name].values[0] for name in TRIAL_COORDINATES if name in chosen.coords}
         body: dict[str, Any] = {name: float(label[name]) for name in BODY}

@@ -359,6 +359,17 @@ def test_refuses_a_hand_out_of_reach():
         Replay.of_trial(recording, 0, "rec")
 
 
+def test_one_axis_is_no_arm(tmp_path, capsys):
+    angle = np.sin(np.arange(200.0))[None, :, None]
+    labels = {"subject": "A", "task": "PT", "condition": "PT", "repetition": 0, "pulse_level": 0.0}
+    nan = ("pulse_direction", "pulse_onset", "limit_time", "l_h", "l_f", "theta_s_deg", "theta_e_deg")
+    trials = {name: [value] for name, value in (labels | dict.fromkeys(nan, np.nan)).items()}
+    recording = make_recording({"force": angle, "displacement": angle}, trials, 100.0, servo="position", angular=True)
+    save_recording(recording, tmp_path / "rec.nc")
+    found = refused(capsys, "video", tmp_path / "rec.nc", "--trial", 0, "--out", tmp_path / "a.mp4")
+    assert "rec.nc: a recording of one axis cannot be drawn as an arm; expected one of two axes" in found
+
+
 def test_without_gl_names_the_package_and_leaves_nothing(file, capsys, monkeypatch):
     for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.setenv(name, "")
