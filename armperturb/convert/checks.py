@@ -215,8 +215,10 @@ def require_plausible_recording(recording: xr.Dataset, source: str) -> None:
         for name in _POSTURE:
             if not np.isnan(labels[name]):
                 require_number(where, name, labels[name], **RANGES["Subject"][name])
-        instants = {name: recording[name].values[trial] for name in ("pulse_onset", "limit_time")}
-        require_instants(where, instants, recording.sizes["time"] / float(recording.attrs["rate"]))
+        # What comes after the end, as where a user has cut a recording, did not happen in the trial.
+        duration = recording.sizes["time"] / float(recording.attrs["rate"])
+        instants = {name: np.fmin(recording[name].values[trial], duration) for name in ("pulse_onset", "limit_time")}
+        require_instants(where, instants, duration)
         require_plausible(
             Timed(
                 where=where,

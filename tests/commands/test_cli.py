@@ -191,16 +191,10 @@ def test_missing_files_and_folders_are_named(inputs, capsys):
     assert not (inputs / "r").exists()
 
 
-def cut(recording, n_time):
-    """The first samples, before any pulse."""
-    none = np.full(recording.sizes["trial"], np.nan)
-    return recording.isel(time=slice(n_time)).assign_coords(pulse_onset=("trial", none))
-
-
 DAMAGE = {
     "no force": (lambda r: r.drop_vars("force"), "variable 'force' is missing"),
     "rate": (lambda r: r.isel(time=slice(None, None, 4)), "rate = 200 Hz"),
-    "too short": (lambda r: cut(r, 800), "the recording lasts 4 s; expected at least 5 s"),
+    "too short": (lambda r: r.isel(time=slice(800)), "the recording lasts 4 s; expected at least 5 s"),
     "one direction": (lambda r: r.assign(perturbation=r["perturbation"] * [1.0, 0.0]), "are not independent"),
     "flipped": (lambda r: r.assign(force=-r["force"]), "force must be the reaction force"),
 }
@@ -269,7 +263,7 @@ def test_what_cannot_be_identified_together_is_refused(two_recordings, recording
     save_recording(recording.assign_coords(in_other_task), tmp_path / "p.nc")
     other = recording.copy()  # a copy of a trial would be refused
     other["force"] = other["force"].copy(data=1.001 * other["force"].values)
-    save_recording(cut(other, 5800), tmp_path / "short.nc")
+    save_recording(other.isel(time=slice(5800)), tmp_path / "short.nc")
     out = ("--out", tmp_path / "r")
     a, b = two_recordings
     line = refused(capsys, "identify", a, tmp_path / "p.nc", "--model", "1", *out)
