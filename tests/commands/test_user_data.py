@@ -77,7 +77,7 @@ def test_existing_outputs_are_replaced_only_where_that_is_asked_for(folder, caps
             "admittance.csv parameters.csv endpoint.csv endpoint.svg fit.json identify.html structure.toml arm.toml",
         ),
         (response, ["response", "lab.nc", "--method", "welch"], "response.csv response.svg"),
-        (compare, ["compare", "lab.nc", "--with", "thesis"], "compare.csv compare.svg compare.txt"),
+        (compare, ["compare", "lab.nc", "--with", "thesis", "--ideal"], "compare.csv compare.svg compare.txt"),
         (
             design,
             ["design", "--subject", "person.toml", *PLAN],
