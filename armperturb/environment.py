@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from armperturb.validation import require_ranges
 
 TIMESTEP = 2.5e-3
-"""Step of simulations of arm and environment [s], by default; docs/physics.md has the error that it makes."""
+"""Step of simulations of arm and environment [s], by default; docs/laboratory.md has the error that it makes."""
 
 
 ENGINES = ("mujoco", "compiled")

@@ -104,7 +104,7 @@ print(table.head(8).round(2).to_string(index=False))
 # On the command line the same is
 #
 # ```sh
-# armperturb study --protocol small.toml --subjects 2 --out study
+# armperturb study --protocol small.toml --subjects 2 --muscles linear --out study
 # armperturb report study
 # armperturb score study
 # ```

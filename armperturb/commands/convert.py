@@ -13,15 +13,16 @@ class Convert(Command):
     """Turn a laboratory's files into a recording, or a recording into files for other programs."""
 
     files: Positional[tuple[Path, ...]]
-    """CSV, MATLAB or C3D files with a JSON sidecar that describes them, or recordings (netCDF4); the output holds the
-    trials of all of them."""
+    """CSV, MATLAB, NPZ or C3D files with a JSON sidecar that describes them, or recordings (netCDF4); the output holds
+    the trials of all of them."""
     out: Path
     """Recording to write (.nc), or text (.csv) or MATLAB (.mat) with a sidecar beside it."""
     sidecar: Path | None = None
     """Sidecar of all files, see docs/recordings.md; by default FILE.json beside each."""
     repair: tuple[Repair, ...] = ()
-    """Faults to repair instead of refusing them: gaps and dropped samples of up to 0.1 s, an uneven clock, unequal
-    lengths; stretch keeps the longest part without longer gaps, trials leaves out trials with other faults."""
+    """Faults to repair instead of refusing them: gaps of up to 0.1 s (of forces 0.025 s), dropped samples of up to
+    0.025 s, an uneven clock, unequal lengths; stretch keeps the longest part without longer gaps, trials leaves out
+    trials with other faults."""
     rate: float | None = None
     """Sampling rate of the recording but for its EMG [Hz], also where it is netCDF; by default that of the files."""
     checksum: bool = False

@@ -81,8 +81,8 @@ class Identify(Command):
     estimator: Estimator = "record"
     """Maximum likelihood on whole records (record) or on mean periods (frequency), or the thesis's trial by trial."""
     free: tuple[str, ...] = ()
-    """Parameters to estimate in addition, e.g. zeta_act, or i_s=0.05:1 within these bounds; by default within
-    the bounds of human arms."""
+    """Parameters to estimate in addition, e.g. zeta_act, or (with --fix m=0) i_s=0.05:1 within these bounds; by default
+    within the bounds of human arms."""
     fix: tuple[str, ...] = ()
     """Parameters to hold, e.g. k_h=rigid Td=0.03; the name of a quantity is that of its parameters at all joints."""
     bounds: tuple[str, ...] = ()
@@ -241,12 +241,12 @@ class Identify(Command):
         from armperturb.analysis.fit.own_structures import inertia_prior, save_structure
         from armperturb.commands.selection import manipulator
 
-        emg = self._emg(notes) if self.emg else None
         tasks = list(dict.fromkeys(task for recording in recordings for task in recording["task"].values.tolist()))
         if len(tasks) > 1:
             raise ValueError(
                 f"trials of the tasks {' and '.join(tasks)}; expected only one task (choose a --condition)"
             )
+        emg = self._emg(notes) if self.emg else None
         trials = parts_by_condition(recordings)
         if structure and self.body:
             person = next(iter(trials.values()))[0].body

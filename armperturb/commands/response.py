@@ -24,8 +24,8 @@ class Response(Command):
     """Estimate a frequency response without a model of the arm, its uncertainty, and how nonlinear the arm is."""
 
     recordings: Positional[tuple[Path, ...]]
-    """Recordings of one person in one condition: netCDF4, or CSV, MATLAB or C3D with a sidecar (see convert); their
-    lengths may differ."""
+    """Recordings of one person in one condition: netCDF4, or CSV, MATLAB, NPZ or C3D with a sidecar (see convert);
+    their lengths may differ."""
     out: Path
     """Folder for response.csv and response.svg; with multisines in two or more trials also distortion.csv and .svg. Of
     one axis, coherence and distortion are in response.csv."""

@@ -48,9 +48,10 @@ def table(folder):
 
 @pytest.mark.slow(reason="simulates three trials with EMG")
 @pytest.mark.usefixtures("without_page", "blank_pictures")
-def test_reflexes_become_better_known(path, tmp_path):
+def test_reflexes_become_better_known(path, tmp_path, capsys):
     for name, options in (("moved", ()), ("active", ("--emg",))):
         assert run("identify", path, *MODEL, *options, "--out", tmp_path / name) == 0
+    assert "EMG is not used" not in capsys.readouterr().out
     moved, active = table(tmp_path / "moved"), table(tmp_path / "active")
     assert list(active.index) == list(moved.index)
     gained = active["standard_error"] / moved["standard_error"]

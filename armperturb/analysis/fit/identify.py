@@ -317,8 +317,13 @@ def identify_conditions(
         options = {"window_start": window_start, "period": period}
         moved = [partial(_in_start_geometry, group, options) for group in groups]
 
+        uses_emg: dict[str, bool] = {}
+
         def with_emg(group: Group) -> Group:
-            return emg.added_to(group, conditions[group.label][0]) if emg else group
+            if emg:
+                group = emg.added_to(group, conditions[group.label][0])
+                uses_emg[group.label] = group.emg is not None
+            return group
 
         if model is None:
             choices = [
@@ -334,8 +339,7 @@ def identify_conditions(
             fits = {
                 group.label: replace(_likely_fit(joint, group, group.spectra), trials=group.parts) for group in groups
             }
-        if emg:
-            fits = {label: told_without_emg(fit) for label, fit in fits.items()}
+        fits = {label: fit if uses_emg.get(label, not emg) else told_without_emg(fit) for label, fit in fits.items()}
     return Identifications(
         {
             label: Identification(

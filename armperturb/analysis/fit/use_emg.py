@@ -64,8 +64,6 @@ class UseOfEmg:
 
 
 def told_without_emg(fit: ArmFit) -> ArmFit:
-    """A fit with a remark if it has no gains of EMG (`EmgLikelihood.names`)."""
-    if any(name.startswith("g_") for name in fit.values):
-        return fit
+    """A fit with the remark that EMG tells nothing of it."""
     remark = f"EMG is not used: model {fit.structure} has no reflexes, of which it tells; the movement alone is used"
     return replace(fit, remarks=(*fit.remarks, remark))
