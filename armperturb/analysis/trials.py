@@ -96,7 +96,8 @@ class ConditionTrials:
     @cached_property
     def are_independent(self) -> bool:
         """Whether every trial has a perturbation of its own, no other's one scaled or turned round."""
-        signals = self.recording["perturbation"].values[:, : self.last].reshape(len(self.numbers), -1)
+        perturbation = self.recording["perturbation"].values[:, : self.last]
+        signals = (perturbation - perturbation.mean(axis=1, keepdims=True)).reshape(len(self.numbers), -1)
         size = np.linalg.norm(signals, axis=1)
         alike = np.abs(np.triu(signals @ signals.T, 1)) > ALIKE * np.outer(size, size)
         return bool((size > 0.0).all() and not alike.any())
@@ -276,9 +277,10 @@ class ConditionTrials:
             )
 
     def is_perturbed(self, window_start: float) -> bool:
-        """Whether something perturbs every trial between a time [s] and its pulse."""
+        """Whether something that changes perturbs every trial between a time [s] and its pulse."""
         first = round(window_start * self.rate)
-        return all(d[first:end].any() for d, end in zip(self.perturbation, self.onset, strict=True))
+        parts = [d[first:end] for d, end in zip(self.perturbation, self.onset, strict=True)]
+        return all(len(part) and np.ptp(part, axis=0).any() for part in parts)
 
     def records(self, window_start: float) -> list[TrialRecord]:
         """Trials from a time on to each one's pulse, or to its end.

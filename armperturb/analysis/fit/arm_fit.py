@@ -13,6 +13,7 @@ from armperturb.analysis.fit.maximum_likelihood import Estimate
 from armperturb.analysis.fit.structures import unit
 from armperturb.analysis.fit.thesis import ThesisEstimate
 from armperturb.analysis.measures.endpoint import EndpointImpedance, endpoint_impedance
+from armperturb.analysis.measures.start_geometry import is_in_start_geometry
 from armperturb.analysis.response.frequency_response import Bands
 from armperturb.analysis.results import Description, FitResult, parameter_table, plain, quantile
 from armperturb.analysis.trials import ConditionTrials
@@ -112,12 +113,14 @@ class ArmFit(FitResult):
         covariance = part @ (self.correlation[np.ix_(known, known)] * np.outer(error, error)) @ part.T
         unknown = self.mixing[:, ~known].any(axis=1)
         covariance[unknown, unknown] = np.inf
+        # What follows the moving arm's geometry has taken the turning of the force out of the stiffness already.
+        is_of_joints = any(is_in_start_geometry(part) for part in self.trials)
         return endpoint_impedance(
             self.arm,
             covariance,
-            recorded_force=self.force,
+            recorded_force=np.zeros(2) if is_of_joints else self.force,
             posture_deg=posture_deg,
-            force=force,
+            force=self.force if force is None else force,
             condition=self.condition,
         )
 

@@ -208,13 +208,20 @@ def estimate(
         search = min(search, *others, key=lambda each: problem.objective(each.values))
         problem.weigh(search.values)
         fit = problem.lack_of_fit(search.values)
-        if fit.chi2 > LARGE_LACK * fit.dof:
-            again = search_best(problem, _with_usual_delays(problem))
-            search = min(search, again, key=lambda each: problem.objective(each.values))
+    if not is_given and (fit.chi2 > LARGE_LACK * fit.dof or _is_a_delay_at_its_bound(problem, search.values)):
+        again = search_best(problem, _with_usual_delays(problem))
+        search = min(search, again, key=lambda each: problem.objective(each.values))
     if first_method != method:
         problem = JointLikelihood(groups, method, share)
         search = search_best(problem, problem.stabilised(search.values))
     return _judge(problem, method, _with_trial_effects(problem, search))
+
+
+def _is_a_delay_at_its_bound(problem: JointLikelihood, values: Array) -> bool:
+    """Whether a free delay or cut-off has been driven to the end of its range, where maxima lie that are none."""
+    margin = 1e-3 * (problem.upper - problem.lower)
+    at_end = (values <= problem.lower + margin) | (values >= problem.upper - margin)
+    return any(end and name.startswith(("Td_", "fact_")) for end, name in zip(at_end, problem.names, strict=True))
 
 
 def _with_usual_delays(problem: JointLikelihood) -> Array:
@@ -253,6 +260,8 @@ class Sketch(NamedTuple):
 def sketch(group: Group, starts: Sequence[Array], method: Method = "record", *, most: int = SKETCH_ROUNDS) -> Sketch:
     """Fit a structure with few steps and quick derivatives, all trials alike, long ones in `Group.segments`.
 
+    Where delays are free, the search also starts from the most likely values with the usual ones.
+
     Args:
       group: the trials and the structure.
       starts: values of the free parameters, the most likely of which the search starts from, (parameter,) each.
@@ -262,7 +271,11 @@ def sketch(group: Group, starts: Sequence[Array], method: Method = "record", *, 
     problem = JointLikelihood([group], method, (), sketchy=True)
     stable = [problem.stabilised(np.clip(start, problem.lower, problem.upper)) for start in starts]
     start = min(stable, key=problem.objective)
-    values = search_from(problem, start, settled=SKETCHED, most=most).values
+    ends = [search_from(problem, start, settled=SKETCHED, most=most).values]
+    if any(name.startswith("Td_") for name in problem.names):
+        usual = _with_usual_delays(problem)
+        ends.append(search_from(problem, usual, settled=SKETCHED, most=most).values)
+    values = min(ends, key=problem.objective)
     objective = problem.objective(values)
     fit = problem.lack_of_fit(values)
     scores = problem.scores(values, problem.no_effects())

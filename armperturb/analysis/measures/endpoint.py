@@ -7,8 +7,9 @@ From one such posture to the next, d(J^T f) = K dq; as dx = J dq, the force that
     K_hand = J^-T (K - d(J^T f)/dq) J^-1,      B_hand = J^-T B J^-1,      I_hand = J^-T I J^-1
 
 (McIntyre, Mussa-Ivaldi & Bizzi 1996, Exp. Brain Res. 110: 248-264). A fit at a mean force f_0 estimates what is in the
-brackets there, K_fit = K - d(J^T f_0)/dq at the recorded posture, so that K is K_fit plus that derivative. At another
-posture, K and B are those of the fit, and the segments turn as rigid bodies. The grip is not part of the hand.
+brackets there, K_fit = K - d(J^T f_0)/dq at the recorded posture, so that K is K_fit plus that derivative; a fit to
+trials that follow the geometry of the moving arm (`start_geometry`) estimates K itself. At another posture, K and B are
+those of the fit, and the segments turn as rigid bodies. The grip is not part of the hand.
 
 The ellipse of a matrix M is what M makes of all unit vectors (Mussa-Ivaldi, Hogan & Bizzi 1985, J. Neurosci. 5): of
 stiffness, the forces that resist a displacement of 1 m. Its area is pi |det M|, its shape the ratio of its axes, its

@@ -96,6 +96,11 @@ def applied_perturbation(trials: ConditionTrials) -> Array:
     return np.asarray(recording[APPLIED if APPLIED in recording else "perturbation"].values, dtype=float)
 
 
+def is_in_start_geometry(trials: ConditionTrials) -> bool:
+    """Whether trials are those of `in_start_geometry`, not as they were recorded."""
+    return APPLIED in trials.recording
+
+
 def coupling(arm: Subject) -> float:
     """Moment of the forearm's mass about the elbow times the length of the humerus [kg m^2], from the joint inertia.
 

@@ -80,7 +80,7 @@ def _differences(perturbation: Sequence[Array]) -> Array:
     """Of each lag from 0 on, with the last for which any trial is long enough; 1 is that of unrelated signals."""
     n_lags = int(max(map(len, perturbation)) / (1 + OVERLAP))
     products, power = np.zeros(n_lags), np.zeros(n_lags)
-    for d in perturbation:
+    for d in (each - each.mean(axis=0) for each in perturbation):  # a constant force repeats at every lag
         n = min(n_lags, int(len(d) / (1 + OVERLAP)))
         squares = np.concatenate([[0.0], np.cumsum(np.sum(d**2, axis=1))])
         lag = np.arange(n)
