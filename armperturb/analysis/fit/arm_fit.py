@@ -1,20 +1,25 @@
 """The arm of one person in one condition, as an estimator gives it."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armperturb.analysis.arm.linear_arm import LinearArm
+from armperturb.analysis.arm.linear_arm import LinearArm, arm_admittance
 from armperturb.analysis.arm.parameters import parameter_vector
+from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.analysis.defaults import Estimator
 from armperturb.analysis.fit.ladder import Choice
 from armperturb.analysis.fit.maximum_likelihood import Estimate
-from armperturb.analysis.fit.structures import unit
+from armperturb.analysis.fit.structures import Structure, unit
 from armperturb.analysis.fit.thesis import ThesisEstimate
 from armperturb.analysis.measures.endpoint import EndpointImpedance, endpoint_impedance
 from armperturb.analysis.measures.start_geometry import is_in_start_geometry
 from armperturb.analysis.response.frequency_response import Bands
+from armperturb.analysis.response.spectra import SpectralEstimate
 from armperturb.analysis.results import Description, FitResult, parameter_table, plain, quantile
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
@@ -132,3 +137,31 @@ class ArmFit(FitResult):
             table=parameter_table(self.to_frame()),
             remarks=self.remarks,
         )
+
+
+def facts_of_arm(
+    arm: Subject, structure: Structure, parts: Sequence[ConditionTrials], spectra: SpectralEstimate
+) -> dict[str, Any]:
+    """What any estimator's `ArmFit` holds of an arm.
+
+    Args:
+      arm: as estimated.
+      structure: of which it is.
+      parts: trials of the condition; the manipulator is that of the first part.
+      spectra: of all of them.
+    """
+    pole = largest_real_pole(arm, parts[0].environment)
+    error = np.abs(np.log(spectra.arm / arm_admittance(arm, spectra.frequency))) ** 2
+    criterion = float(np.mean(spectra.coherence[:, :, None] * error)) if np.isfinite(error).all() else math.inf
+    n_samples = [part.n_trials * part.first_onset for part in parts]
+    held = [part.force[:, : part.first_onset].mean(axis=(0, 1)) for part in parts]
+    return {
+        "structure": structure.name,
+        "condition": parts[0].label,
+        "arm": arm,
+        "force": np.average(held, axis=0, weights=n_samples),
+        "mixing": structure.mixing,
+        "stable": pole < 0.0,
+        "largest_real_pole": pole,
+        "criterion": criterion,
+    }

@@ -1,7 +1,6 @@
 """From a recording to the arm: admittance, environment, arm model and how well it predicts (thesis 2.6, 2.7)."""
 
 import itertools
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -12,12 +11,12 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from armperturb.analysis.arm.linear_arm import arm_admittance
-from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.analysis.cuts import require_two_axes
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START, Estimator
-from armperturb.analysis.fit.arm_fit import ArmFit
+from armperturb.analysis.fit.arm_fit import ArmFit, facts_of_arm
 from armperturb.analysis.fit.group import Group, parts_by_condition
 from armperturb.analysis.fit.ladder import Choice, choose_structure, nearest_to_linear
+from armperturb.analysis.fit.left_out import cut_by_pulses, too_short
 from armperturb.analysis.fit.maximum_likelihood import Estimate, estimate
 from armperturb.analysis.fit.own_structures import composed
 from armperturb.analysis.fit.structures import Structure, is_published, structure_of, unit
@@ -297,6 +296,7 @@ def identify_conditions(
     perturbed = {
         label: parts for label, parts in conditions.items() if all(part.is_perturbed(window_start) for part in parts)
     }
+    remarks = too_short(conditions, perturbed, window_start) if perturbed else []
     conditions = perturbed or conditions
     for parts in conditions.values():
         for part in parts:
@@ -346,7 +346,7 @@ def identify_conditions(
                 n_trials=sum(part.n_trials for part in conditions[label]),
                 spectra=spectra[label],
                 environment=conditions[label][0].environment,
-                fit=fit,
+                fit=replace(fit, remarks=(*fit.remarks, *cut_by_pulses(conditions[label]), *remarks)),
                 vaf=np.concatenate(
                     [prediction_vaf(part, fit.arm, part.environment) for part in conditions[label]]
                 ).mean(axis=0),
@@ -386,7 +386,7 @@ def _thesis_fit(
         converged=all(part.converged for part in result.fits),
         remarks=tuple(remarks),
         detail=result,
-        **_about(structure.arm(trials.body, values), structure, trials, spectra),
+        **facts_of_arm(structure.arm(trials.body, values), structure, [trials], spectra),
     )
 
 
@@ -429,22 +429,5 @@ def _likely_fit(result: Estimate, group: Group, spectra: SpectralEstimate) -> Ar
         converged=result.converged,
         remarks=result.remarks,
         detail=result,
-        **_about(result.arms[condition], group.structure, group.parts[0], spectra),
+        **facts_of_arm(result.arms[condition], group.structure, group.parts, spectra),
     )
-
-
-def _about(arm: Subject, structure: Structure, trials: ConditionTrials, spectra: SpectralEstimate) -> dict[str, Any]:
-    """What any estimator's `ArmFit` holds of an arm."""
-    pole = largest_real_pole(arm, trials.environment)
-    error = np.abs(np.log(spectra.arm / arm_admittance(arm, spectra.frequency))) ** 2
-    criterion = float(np.mean(spectra.coherence[:, :, None] * error)) if np.isfinite(error).all() else math.inf
-    return {
-        "structure": structure.name,
-        "condition": trials.label,
-        "arm": arm,
-        "force": trials.force[:, : trials.first_onset].mean(axis=(0, 1)),
-        "mixing": structure.mixing,
-        "stable": pole < 0.0,
-        "largest_real_pole": pole,
-        "criterion": criterion,
-    }

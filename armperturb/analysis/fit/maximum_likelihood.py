@@ -43,6 +43,9 @@ from armperturb.arrays import Array
 from armperturb.subject import Subject
 from armperturb.validation import require_one_of
 
+PLENTY = 600.0
+"""Duration of all trials together from which on their spectra lead a search to the right delays [s]."""
+
 SKETCH_ROUNDS = 12
 """Steps after which the search of a sketch ends."""
 
@@ -260,7 +263,7 @@ class Sketch(NamedTuple):
 def sketch(group: Group, starts: Sequence[Array], method: Method = "record", *, most: int = SKETCH_ROUNDS) -> Sketch:
     """Fit a structure with few steps and quick derivatives, all trials alike, long ones in `Group.segments`.
 
-    Where delays are free, the search also starts from the most likely values with the usual ones.
+    Where delays are free and trials are not hours, the search also starts from the most likely values with usual ones.
 
     Args:
       group: the trials and the structure.
@@ -272,7 +275,8 @@ def sketch(group: Group, starts: Sequence[Array], method: Method = "record", *, 
     stable = [problem.stabilised(np.clip(start, problem.lower, problem.upper)) for start in starts]
     start = min(stable, key=problem.objective)
     ends = [search_from(problem, start, settled=SKETCHED, most=most).values]
-    if any(name.startswith("Td_") for name in problem.names):
+    seconds = sum(part.n_trials * part.end / part.rate for part in group.parts)
+    if seconds < PLENTY and any(name.startswith("Td_") for name in problem.names):
         usual = _with_usual_delays(problem)
         ends.append(search_from(problem, usual, settled=SKETCHED, most=most).values)
     values = min(ends, key=problem.objective)

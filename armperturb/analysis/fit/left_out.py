@@ -1,0 +1,43 @@
+"""What of the trials a fit does not use, in words."""
+
+from collections.abc import Collection, Mapping, Sequence
+
+import numpy as np
+
+from armperturb.analysis.trials import ConditionTrials
+
+MUCH = 0.1
+"""Share of what comes before pulses from which on it is told that it is not used [-]."""
+
+
+def too_short(
+    conditions: Mapping[str, Sequence[ConditionTrials]], identified: Collection[str], window_start: float
+) -> list[str]:
+    """Conditions that are left out although something perturbs their trials, a line each.
+
+    Args:
+      conditions: all of them.
+      identified: those that are not left out.
+      window_start: from when on every trial has to be perturbed [s].
+    """
+    return [
+        f"{label} is not identified, as a trial of it ends or is pulsed before {window_start:g} s (an earlier "
+        "--window-start)"
+        for label, parts in conditions.items()
+        if label not in identified and any(part.is_perturbed(0.0) for part in parts)
+    ]
+
+
+def cut_by_pulses(parts: Sequence[ConditionTrials]) -> list[str]:
+    """Parts of a condition of which much is not used, as trials are used up to the earliest pulse, a line each."""
+    remarks = []
+    for part in parts:
+        before = float(np.mean(np.minimum(part.onset, part.n_samples)))
+        if part.first_onset < (1.0 - MUCH) * before:
+            used = part.first_onset / part.rate
+            remarks.append(
+                f"{part.n_trials} trials are used up to {used:.3g} s, where the earliest pulse begins, of "
+                f"{before / part.rate:.3g} s before their pulses (in Python, a list of recordings of one trial each is "
+                "used up to each pulse)"
+            )
+    return remarks

@@ -1,0 +1,110 @@
+"""Identification of trials as other laboratories record them: constant forces, pulses at any time, short and noisy."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from armperturb.analysis.arm.geometry import hand_jacobian
+from armperturb.analysis.arm.state_space import simulate_linear
+from armperturb.analysis.fit.identify import identify, identify_conditions
+from armperturb.analysis.fit.own_structures import composed
+from armperturb.analysis.measures.endpoint import force_stiffness
+from armperturb.analysis.measures.start_geometry import in_start_geometry
+from armperturb.analysis.numerics.periodicity import find_period
+from armperturb.analysis.trials import ConditionTrials
+from armperturb.environment import Environment
+from armperturb.recording import make_recording
+from armperturb.subject import POSITION
+
+RATE = 200.0
+ENVIRONMENT = Environment(m_env=2.0, b_env=8.0, k_env=100.0)
+NO_FEEDBACK = {f"{gain}_{joint}": 0.0 for gain in ("kv", "kp") for joint in ("s", "se", "e")}
+RELAXED = replace(
+    POSITION,
+    **{"m_h": 1.9, "m_f": 1.5, "b_s": 2.2, "b_se": 0.5, "b_e": 1.5, "k_s": 30.0, "k_se": 8.0, "k_e": 24.0},
+    **{**NO_FEEDBACK, "kv_s": 1.6, "kv_e": 1.2, "b_h": 40.0, "k_h": 12e3},
+    **{"Td_s": 0.033, "Td_e": 0.033, "fact_s": 2.5, "fact_e": 2.5, "theta_s_deg": 35.0, "theta_e_deg": 85.0},
+)
+VELOCITY = composed(grip="spring", reflex="velocity")
+
+
+def multisine(rng, seconds):
+    """Random phases, other lines along x than along y, RMS 3 N, (time, axis)."""
+    time, lines = np.arange(round(seconds * RATE))[:, None] / RATE, np.arange(1, 150) / seconds
+    force = np.empty((len(time), 2))
+    for axis in range(2):
+        mine = lines[axis::2]
+        angle = 2.0 * np.pi * time * mine + rng.uniform(0.0, 2.0 * np.pi, len(mine))
+        force[:, axis] = (np.maximum(mine, 1.0) ** -0.4 * np.cos(angle)).sum(axis=1)
+    return 3.0 * force / force.std(axis=0)
+
+
+def recorded(n, seconds, *, seed=0, noise=0.8, condition="A", onsets=None, held=(0.0, 0.0)):
+    """Trials amid the movement under a multisine of 10 s, with low noise of the hand."""
+    rng, n_time, lead = np.random.default_rng(seed), round(seconds * RATE), round(8.0 * RATE)
+    signals = {name: np.empty((n, n_time, 2)) for name in ("perturbation", "force", "displacement")}
+    for trial in range(n):
+        force = np.tile(multisine(rng, 10.0), (round(seconds // 10.0) + 2, 1))[-n_time - lead :]
+        slow = signal.lfilter(*signal.butter(2, 3.0, fs=RATE), rng.standard_normal(force.shape), axis=0)
+        slow *= noise / slow.std()
+        response = simulate_linear(RELAXED, ENVIRONMENT, force + slow, RATE)
+        gauge, encoder = 0.02 * rng.standard_normal((n_time, 2)), 1e-5 * rng.standard_normal((n_time, 2))
+        signals["perturbation"][trial] = force[lead:]
+        signals["force"][trial] = (response.force - slow)[lead:] + gauge
+        signals["displacement"][trial] = response.displacement[lead:] + encoder
+    signals["perturbation"] += held
+    signals["force"] += held  # which the person resists all the time
+    labels = {"subject": ["S"] * n, "task": ["PT"] * n, "condition": [condition] * n, "repetition": [*range(n)]}
+    pulses = np.full(n, np.nan) if onsets is None else np.asarray(onsets)
+    labels |= {"pulse_onset": pulses, "pulse_level": np.isfinite(pulses).astype(float)}
+    labels |= {"pulse_direction": np.where(np.isfinite(pulses), 20.0, np.nan), "limit_time": [np.nan] * n}
+    labels |= {name: [getattr(RELAXED, name)] * n for name in ("l_h", "l_f", "theta_s_deg", "theta_e_deg")}
+    return make_recording(signals, labels, RATE)
+
+
+@pytest.mark.slow(reason="tries structures")
+def test_delays_that_are_far_too_long_lead_no_search_astray():
+    fit = identify(recorded(8, 10.0)).fit
+    assert fit.structure.endswith("velocity")
+    for name in ("k_s", "k_se", "k_e", "kv_s", "kv_e", "Td_s"):
+        low, high = fit.interval(name)
+        assert low < getattr(RELAXED, name) < high, name
+
+
+def test_a_constant_force_in_the_perturbation_hides_neither_period_nor_independence():
+    held = recorded(2, 28.0, held=(10.0, -15.0))
+    assert find_period(list(held["perturbation"].values), RATE) == pytest.approx(10.0)
+    trials = ConditionTrials.prepare(held)
+    assert trials.are_independent
+    assert trials.is_perturbed(2.0)
+    still = held.assign(perturbation=0.0 * held["perturbation"] + 5.0)
+    assert not ConditionTrials.prepare(still, is_checked=True).is_perturbed(2.0)
+
+
+def test_stiffness_of_fits_that_follow_the_moving_arm_gets_the_turning_of_a_held_force_once():
+    recording = recorded(2, 28.0, held=(10.0, -15.0))
+    fit = identify(recording, VELOCITY).fit
+    linear, moved = (
+        replace(fit, trials=(trials,)).endpoint()["stiffness"].values
+        for trials in (ConditionTrials.prepare(recording), in_start_geometry(recording))
+    )
+    # That of the one has it in the joints' stiffness, that of the other does not.
+    inverse = np.linalg.inv(hand_jacobian(fit.arm))
+    np.testing.assert_allclose(linear - moved, inverse.T @ force_stiffness(fit.arm, fit.force) @ inverse, rtol=1e-9)
+    np.testing.assert_allclose(fit.force, (10.0, -15.0), atol=0.5)
+
+
+def test_what_is_not_used_is_named():
+    short, long = recorded(3, 7.5, condition="short"), recorded(2, 28.0, condition="long")
+    both = identify_conditions([short, long], VELOCITY)
+    assert list(both) == ["long"]
+    line = "short is not identified, as a trial of it ends or is pulsed before 8 s (an earlier --window-start)"
+    assert line in both["long"].fit.remarks
+    pulsed = identify(recorded(3, 28.0, onsets=[27.0, 20.0, 25.0]), VELOCITY)
+    assert any(
+        remark.startswith("3 trials are used up to 20 s, where the earliest pulse begins, of 24 s")
+        for remark in pulsed.fit.remarks
+    )
+    assert not any("used up to" in remark for remark in both["long"].fit.remarks)
