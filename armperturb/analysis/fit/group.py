@@ -23,6 +23,7 @@ from armperturb.analysis.fit.linear_start import linear_start, linear_starts
 from armperturb.analysis.fit.structures import Structure
 from armperturb.analysis.fit.total_admittance import LONGEST_RUN
 from armperturb.analysis.force_balance import EDGE
+from armperturb.analysis.manipulator import manipulator_covariance
 from armperturb.analysis.measures.start_geometry import applied_perturbation
 from armperturb.analysis.per_trials import per_trials
 from armperturb.analysis.response.condition_spectra import condition_spectra, periodic_lines
@@ -33,6 +34,12 @@ from armperturb.arrays import Array
 from armperturb.environment import Environment
 from armperturb.joined_recordings import join_recordings
 from armperturb.subject import Subject
+
+ANOTHER, CLEARLY = 0.15, 5.0
+"""Share of its impedance by which a manipulator differs from another one, and standard errors by which it must [-]."""
+
+FREQUENCIES = np.geomspace(0.3, 10.0, 12)
+"""At which manipulators are compared [Hz]."""
 
 SEGMENT = 120.0
 """Length of the segments of long records that structures are compared on [s]."""
@@ -221,7 +228,7 @@ def require_one_person(groups: Sequence[Group]) -> None:
 
 
 def parts_by_condition(recordings: xr.Dataset | Sequence[xr.Dataset]) -> dict[str, tuple[ConditionTrials, ...]]:
-    """Condition to its trials, those of one length together, in the order of the recordings.
+    """Condition to its trials, those of one length and manipulator together, in the order of the recordings.
 
     Args:
       recordings: trials of one person, of any lengths.
@@ -242,10 +249,52 @@ def parts_by_condition(recordings: xr.Dataset | Sequence[xr.Dataset]) -> dict[st
     return {
         label: tuple(
             ConditionTrials.prepare(same[0] if len(same) == 1 else join_recordings(same).recording)
-            for same in by_clock.values()
+            for of_clock in by_clock.values()
+            for same in _by_manipulator(of_clock)
         )
         for label, by_clock in parts.items()
     }
+
+
+def _by_manipulator(recordings: Sequence[xr.Dataset]) -> list[list[xr.Dataset]]:
+    """Recordings of one condition, those together whose manipulators do not clearly differ."""
+    if len(recordings) == 1:
+        return [list(recordings)]
+    together: list[tuple[ConditionTrials, list[xr.Dataset]]] = []
+    for recording in recordings:
+        trials = ConditionTrials.prepare(recording, is_checked=True)
+        same = next((those for first, those in together if not _differ(first, trials)), None)
+        if same is None:
+            together.append((trials, [recording]))
+        else:
+            same.append(recording)
+    return [those for _, those in together]
+
+
+def remark_on_manipulators(parts: Sequence[ConditionTrials]) -> list[str]:
+    """A line on the manipulators of a condition that was recorded with several of them."""
+    if not any(_differ(parts[0], part) for part in parts[1:]):
+        return []
+    each = (part.environment for part in parts)
+    named = "; ".join(f"{held.m_env:.3g} kg, {held.b_env:.3g} Ns/m, {held.k_env:.4g} N/m" for held in each)
+    return [f"recorded with several manipulators, each taken as it is ({named})"]
+
+
+def _differ(first: ConditionTrials, other: ConditionTrials) -> bool:
+    """Whether the manipulators of two recordings differ by more than `ANOTHER`, and by more than their errors."""
+    try:
+        before, after = (
+            np.array([held.m_env, held.b_env, held.k_env]) for held in (first.environment, other.environment)
+        )
+        covariance = manipulator_covariance(first) + manipulator_covariance(other)
+    except ValueError:  # of too little movement, or refused later with the reason
+        return False
+    change = after - before
+    omega = 2.0 * np.pi * FREQUENCIES
+    of_parts = np.stack([omega**2, omega, np.ones_like(omega)])  # of mass, damping and stiffness
+    share = np.hypot(change[2] - change[0] * omega**2, change[1] * omega) / (before @ of_parts)
+    errors = np.sqrt(np.diag(covariance) + 1e-12)
+    return bool(share.max() > ANOTHER and (np.abs(change) / errors).max() > CLEARLY)
 
 
 def _signals(trials: ConditionTrials, window: slice) -> Signals:

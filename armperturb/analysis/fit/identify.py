@@ -14,7 +14,7 @@ from armperturb.analysis.arm.linear_arm import arm_admittance
 from armperturb.analysis.cuts import require_two_axes
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START, Estimator
 from armperturb.analysis.fit.arm_fit import ArmFit, facts_of_arm
-from armperturb.analysis.fit.group import Group, parts_by_condition
+from armperturb.analysis.fit.group import Group, parts_by_condition, remark_on_manipulators
 from armperturb.analysis.fit.ladder import Choice, choose_structure, nearest_to_linear
 from armperturb.analysis.fit.left_out import cut_by_pulses, too_short
 from armperturb.analysis.fit.maximum_likelihood import Estimate, estimate
@@ -340,13 +340,14 @@ def identify_conditions(
                 group.label: replace(_likely_fit(joint, group, group.spectra), trials=group.parts) for group in groups
             }
         fits = {label: fit if uses_emg.get(label, not emg) else told_without_emg(fit) for label, fit in fits.items()}
+    said = {label: (*cut_by_pulses(parts), *remark_on_manipulators(parts)) for label, parts in conditions.items()}
     return Identifications(
         {
             label: Identification(
                 n_trials=sum(part.n_trials for part in conditions[label]),
                 spectra=spectra[label],
                 environment=conditions[label][0].environment,
-                fit=replace(fit, remarks=(*fit.remarks, *cut_by_pulses(conditions[label]), *remarks)),
+                fit=replace(fit, remarks=(*fit.remarks, *said[label], *remarks)),
                 vaf=np.concatenate(
                     [prediction_vaf(part, fit.arm, part.environment) for part in conditions[label]]
                 ).mean(axis=0),

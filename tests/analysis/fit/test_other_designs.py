@@ -8,6 +8,7 @@ from scipy import signal
 
 from armperturb.analysis.arm.geometry import hand_jacobian
 from armperturb.analysis.arm.state_space import simulate_linear
+from armperturb.analysis.fit.group import parts_by_condition
 from armperturb.analysis.fit.identify import identify, identify_conditions
 from armperturb.analysis.fit.own_structures import composed
 from armperturb.analysis.measures.endpoint import force_stiffness
@@ -41,7 +42,7 @@ def multisine(rng, seconds):
     return 3.0 * force / force.std(axis=0)
 
 
-def recorded(n, seconds, *, seed=0, noise=0.8, condition="A", onsets=None, held=(0.0, 0.0)):
+def recorded(n, seconds, *, seed=0, noise=0.8, condition="A", onsets=None, held=(0.0, 0.0), environment=ENVIRONMENT):
     """Trials amid the movement under a multisine of 10 s, with low noise of the hand."""
     rng, n_time, lead = np.random.default_rng(seed), round(seconds * RATE), round(8.0 * RATE)
     signals = {name: np.empty((n, n_time, 2)) for name in ("perturbation", "force", "displacement")}
@@ -49,7 +50,7 @@ def recorded(n, seconds, *, seed=0, noise=0.8, condition="A", onsets=None, held=
         force = np.tile(multisine(rng, 10.0), (round(seconds // 10.0) + 2, 1))[-n_time - lead :]
         slow = signal.lfilter(*signal.butter(2, 3.0, fs=RATE), rng.standard_normal(force.shape), axis=0)
         slow *= noise / slow.std()
-        response = simulate_linear(RELAXED, ENVIRONMENT, force + slow, RATE)
+        response = simulate_linear(RELAXED, environment, force + slow, RATE)
         gauge, encoder = 0.02 * rng.standard_normal((n_time, 2)), 1e-5 * rng.standard_normal((n_time, 2))
         signals["perturbation"][trial] = force[lead:]
         signals["force"][trial] = (response.force - slow)[lead:] + gauge
@@ -108,3 +109,19 @@ def test_what_is_not_used_is_named():
         for remark in pulsed.fit.remarks
     )
     assert not any("used up to" in remark for remark in both["long"].fit.remarks)
+
+
+@pytest.mark.parametrize("changes", [{"m_env": 4.0, "b_env": 30.0, "k_env": 0.0}, {"k_env": 250.0}])
+def test_sessions_with_other_manipulators_are_taken_each_with_its_own(changes):
+    other = replace(ENVIRONMENT, **changes)
+    sessions = [recorded(2, 28.0, noise=0.4), recorded(2, 28.0, seed=1, noise=0.4, environment=other)]
+    first, second = parts_by_condition(sessions)["A"]
+    assert second.environment.k_env == pytest.approx(other.k_env, abs=5.0)
+    assert first.environment.m_env == pytest.approx(2.0, rel=0.02)
+    (together,) = parts_by_condition([sessions[0], recorded(2, 28.0, seed=2, noise=0.4)])["A"]
+    assert together.n_trials == 4
+    fit = identify_conditions(sessions, VELOCITY)["A"].fit
+    assert any(remark.startswith("recorded with several manipulators") for remark in fit.remarks)
+    for name in ("k_s", "k_e", "b_s", "b_e"):
+        low, high = fit.interval(name, 0.999)
+        assert low < getattr(RELAXED, name) < high, name
