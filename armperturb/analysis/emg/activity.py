@@ -80,19 +80,12 @@ class Activity(Result):
         """Which muscles are active in each condition, and the index of co-contraction of each joint."""
         rows = []
         for (condition, part), of_part in self.levels.groupby(["condition", "part"], sort=False):
-            active = list(of_part[of_part["is_active"]]["muscle"])
             index = self.cocontraction.set_index(["condition", "part", "joint"])["index"]
             rows.append(
                 (
                     str(condition),
                     str(part),
-                    "unknown"
-                    if of_part["p"].isna().all()
-                    else "none"
-                    if not active
-                    else "all"
-                    if len(active) == len(of_part)
-                    else ", ".join(active),
+                    _active_words(of_part),
                     *(
                         plain(100.0 * index[condition, part, joint], 3) if (condition, part, joint) in index else "–"
                         for joint in JOINTS.values()
@@ -188,6 +181,16 @@ def activity(envelopes: Envelopes, limit: float | None = None) -> Activity:
         cocontraction=pd.DataFrame(indices, columns=["condition", "part", "joint", "index", "ratio"]),
         remarks=(*envelopes.remarks, *_unknown(envelopes)),
     )
+
+
+def _active_words(levels: pd.DataFrame) -> str:
+    """Which muscles are active, of the rows of `Activity.levels` of one part of a condition."""
+    active = list(levels[levels["is_active"]]["muscle"])
+    if levels["p"].isna().all():
+        return "unknown"
+    if not active:
+        return "none"
+    return "all" if len(active) == len(levels) else ", ".join(active)
 
 
 def _unknown(envelopes: Envelopes) -> tuple[str, ...]:

@@ -241,34 +241,33 @@ def parts_by_condition(recordings: xr.Dataset | Sequence[xr.Dataset]) -> dict[st
     people = list(dict.fromkeys(str(name) for each in several for name in each["subject"].values))
     if len(people) > 1:
         raise ValueError(f"recording: subject = {', '.join(people)}; expected one person")
-    parts: dict[str, dict[tuple[float, int], list[xr.Dataset]]] = {}
+    parts: dict[str, dict[tuple[float, int], list[ConditionTrials]]] = {}
     for each in several:
         for label, trials in trials_by_condition(each, is_checked=True).items():
             clock = trials.rate, trials.n_samples
-            parts.setdefault(label, {}).setdefault(clock, []).append(trials.recording)
+            parts.setdefault(label, {}).setdefault(clock, []).append(trials)
     return {
-        label: tuple(
-            ConditionTrials.prepare(same[0] if len(same) == 1 else join_recordings(same).recording)
-            for of_clock in by_clock.values()
-            for same in _by_manipulator(of_clock)
-        )
+        label: tuple(_together(same) for of_clock in by_clock.values() for same in _by_manipulator(of_clock))
         for label, by_clock in parts.items()
     }
 
 
-def _by_manipulator(recordings: Sequence[xr.Dataset]) -> list[list[xr.Dataset]]:
-    """Recordings of one condition, those together whose manipulators do not clearly differ."""
-    if len(recordings) == 1:
-        return [list(recordings)]
-    together: list[tuple[ConditionTrials, list[xr.Dataset]]] = []
-    for recording in recordings:
-        trials = ConditionTrials.prepare(recording, is_checked=True)
-        same = next((those for first, those in together if not _differ(first, trials)), None)
+def _by_manipulator(parts: Sequence[ConditionTrials]) -> list[list[ConditionTrials]]:
+    """Parts of one condition, those together whose manipulators do not clearly differ."""
+    together: list[list[ConditionTrials]] = []
+    for part in parts:
+        same = next((those for those in together if not _differ(those[0], part)), None)
         if same is None:
-            together.append((trials, [recording]))
+            together.append([part])
         else:
-            same.append(recording)
-    return [those for _, those in together]
+            same.append(part)
+    return together
+
+
+def _together(parts: Sequence[ConditionTrials]) -> ConditionTrials:
+    if len(parts) == 1:
+        return parts[0]
+    return ConditionTrials.prepare(join_recordings([part.recording for part in parts]).recording)
 
 
 def remark_on_manipulators(parts: Sequence[ConditionTrials]) -> list[str]:

@@ -317,13 +317,8 @@ def identify_conditions(
         options = {"window_start": window_start, "period": period}
         moved = [partial(_in_start_geometry, group, options) for group in groups]
 
-        uses_emg: dict[str, bool] = {}
-
         def with_emg(group: Group) -> Group:
-            if emg:
-                group = emg.added_to(group, conditions[group.label][0])
-                uses_emg[group.label] = group.emg is not None
-            return group
+            return emg.added_to(group, conditions[group.label][0]) if emg else group
 
         if model is None:
             choices = [
@@ -339,7 +334,8 @@ def identify_conditions(
             fits = {
                 group.label: replace(_likely_fit(joint, group, group.spectra), trials=group.parts) for group in groups
             }
-        fits = {label: fit if uses_emg.get(label, not emg) else told_without_emg(fit) for label, fit in fits.items()}
+        if emg:
+            fits = {label: told_without_emg(fit) for label, fit in fits.items()}
     said = {label: (*cut_by_pulses(parts), *remark_on_manipulators(parts)) for label, parts in conditions.items()}
     return Identifications(
         {

@@ -211,7 +211,9 @@ def estimate(
         search = min(search, *others, key=lambda each: problem.objective(each.values))
         problem.weigh(search.values)
         fit = problem.lack_of_fit(search.values)
-    if not is_given and (fit.chi2 > LARGE_LACK * fit.dof or _is_a_delay_at_its_bound(problem, search.values)):
+    ends = [name for name in _at_bound(problem, search.values) if name.startswith(("Td_", "fact_"))]
+    # Maxima at the end of a delay's or a cut-off's range are seldom the global one.
+    if not is_given and (ends or fit.chi2 > LARGE_LACK * fit.dof):
         again = search_best(problem, _with_usual_delays(problem))
         search = min(search, again, key=lambda each: problem.objective(each.values))
     if first_method != method:
@@ -220,11 +222,10 @@ def estimate(
     return _judge(problem, method, _with_trial_effects(problem, search))
 
 
-def _is_a_delay_at_its_bound(problem: JointLikelihood, values: Array) -> bool:
-    """Whether a free delay or cut-off has been driven to the end of its range, where maxima lie that are none."""
-    margin = 1e-3 * (problem.upper - problem.lower)
-    at_end = (values <= problem.lower + margin) | (values >= problem.upper - margin)
-    return any(end and name.startswith(("Td_", "fact_")) for end, name in zip(at_end, problem.names, strict=True))
+def _at_bound(problem: JointLikelihood, values: Array) -> tuple[str, ...]:
+    """Names of the parameters that sit on a bound."""
+    near = np.minimum(values - problem.lower, problem.upper - values) <= AT_BOUND * (problem.upper - problem.lower)
+    return tuple(name for name, hit in zip(problem.names, near, strict=True) if hit)
 
 
 def _with_usual_delays(problem: JointLikelihood) -> Array:
@@ -413,7 +414,6 @@ def _judge(problem: JointLikelihood, method: Method, search: Searched) -> Estima
     rest = np.ix_(~unknown, ~unknown)
     spread = np.sqrt(np.diag(covariance))[~unknown]
     correlation[rest] = covariance[rest] / np.outer(spread, spread)
-    near = np.minimum(values - problem.lower, problem.upper - values) <= AT_BOUND * (problem.upper - problem.lower)
     pole = problem.pole(values)
     result = Estimate(
         method=method,
@@ -422,7 +422,7 @@ def _judge(problem: JointLikelihood, method: Method, search: Searched) -> Estima
         degrees_of_freedom={} if search.dof is None else dict(zip(names, search.dof.tolist(), strict=True)),
         correlation=correlation,
         trial_spread={} if search.spread is None or is_assumed else _told(search.spread),
-        at_bound=tuple(name for name, hit in zip(names, near, strict=True) if hit),
+        at_bound=_at_bound(problem, values),
         arms={group.label: arm for group, arm in zip(problem.groups, problem.arms(values), strict=True)},
         message=search.status,
         remarks=(),

@@ -64,6 +64,8 @@ class UseOfEmg:
 
 
 def told_without_emg(fit: ArmFit) -> ArmFit:
-    """A fit with the remark that EMG tells nothing of it."""
+    """A fit with the remark that EMG tells nothing of it, if its likelihood has no gains of EMG."""
+    if any(name.startswith("g_") for name in fit.detail.values):
+        return fit
     remark = f"EMG is not used: model {fit.structure} has no reflexes, of which it tells; the movement alone is used"
     return replace(fit, remarks=(*fit.remarks, remark))
