@@ -227,20 +227,7 @@ def reflexes(
         )
     bands = np.flatnonzero(len(used) * of_trial >= FEWEST_LINES)
     centre = np.array([f[_bands(f) == band].mean() for band in bands])
-    response = np.full((len(names), len(JOINTS), len(bands)), np.nan, complex)
-    error, coherence = np.full(response.shape, np.nan), np.full((len(names), len(bands)), np.nan)
-    fits = [UNKNOWN] * len(names)
-    is_alive = np.isfinite(a).all(axis=2)  # (trial, muscle)
-    for alive in np.unique(is_alive, axis=1).T:
-        if alive.sum() * of_trial.max() >= FEWEST_LINES:
-            columns = np.flatnonzero((alive == is_alive.T).all(axis=1))
-            turned, active = q[alive], a[np.ix_(alive, columns)]
-            enough = alive.sum() * of_trial[bands] >= FEWEST_LINES
-            places = np.ix_(columns, np.flatnonzero(enough))
-            values = _response(turned, active, f, shared, bands[enough])
-            response.swapaxes(1, 2)[places], error.swapaxes(1, 2)[places], coherence[places] = values
-            for place, column in enumerate(columns):
-                fits[column] = _whitened_fit(turned, active[:, place], f, shared)
+    fits, response, error, coherence = _of_muscles(q, a, f, shared, bands)
     table = pd.DataFrame([{"muscle": name, **fit} for name, fit in zip(names, fits, strict=True)])
     table["delay_by_phase_s"] = [
         _by_phase(response[column], error[column], centre, fit) for column, fit in enumerate(fits)
@@ -396,6 +383,31 @@ def searched_p(explained: float, n: float, design: Array, change: Array, extent:
 def _bands(f: Array) -> Indices:
     """In which band each frequency [Hz] is."""
     return np.floor(f / BIN).astype(np.intp)
+
+
+def _of_muscles(
+    q: ComplexArray, a: ComplexArray, f: Array, shared: float, bands: Indices
+) -> tuple[list[dict[str, float]], ComplexArray, Array, Array]:
+    """Fit of each muscle, and `_response` along (muscle, joint, band), of the trials in which its channel is not dead.
+
+    Of too few lines there is no fit, and NaN in place of a response.
+    """
+    n_muscles, of_trial = a.shape[1], np.bincount(_bands(f)) / shared
+    fits = [UNKNOWN] * n_muscles
+    response = np.full((n_muscles, len(bands), len(JOINTS)), np.nan, complex)
+    error, coherence = np.full(response.shape, np.nan), np.full(response.shape[:2], np.nan)
+    is_alive = np.isfinite(a).all(axis=2)  # (trial, muscle)
+    for alive in np.unique(is_alive, axis=1).T:
+        if alive.sum() * of_trial.max() < FEWEST_LINES:
+            continue
+        columns = np.flatnonzero((alive == is_alive.T).all(axis=1))
+        turned, active = q[alive], a[np.ix_(alive, columns)]
+        enough = alive.sum() * of_trial[bands] >= FEWEST_LINES
+        places = np.ix_(columns, np.flatnonzero(enough))
+        response[places], error[places], coherence[places] = _response(turned, active, f, shared, bands[enough])
+        for place, column in enumerate(columns):
+            fits[column] = _whitened_fit(turned, active[:, place], f, shared)
+    return fits, response.swapaxes(1, 2), error.swapaxes(1, 2), coherence
 
 
 def _response(
