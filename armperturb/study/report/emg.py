@@ -40,7 +40,7 @@ def relaxation(study: StudyResult) -> str:
 
 
 def emg_rows(study: StudyResult) -> dict[str, list[dict[str, Any]]]:
-    """Tables of EMG, by name."""
+    """Tables of EMG, by name; without rows where nobody has any."""
     levels = [
         {"subject": person.name, "unit": person.unit, **row._asdict()} for person in study.emg for row in person.levels
     ]
@@ -55,8 +55,7 @@ def emg_rows(study: StudyResult) -> dict[str, list[dict[str, Any]]]:
     ]
     delays = [{"subject": person.name, **row._asdict()} for person in study.emg for row in person.reflexes]
     tests = [test._asdict() for test in cocontraction_tests(of_one_unit(study.emg), study.protocol.conditions)]
-    tables = {"emg_levels": levels, "emg_cocontraction": index, "emg_reflexes": delays, "emg_tests": tests}
-    return {name: rows for name, rows in tables.items() if rows}
+    return {"emg_levels": levels, "emg_cocontraction": index, "emg_reflexes": delays, "emg_tests": tests}
 
 
 def emg_section(study: StudyResult) -> dict[str, Any]:
@@ -67,7 +66,7 @@ def emg_section(study: StudyResult) -> dict[str, Any]:
     others = [f"{person.name} ({person.unit})" for person in study.emg if person.levels and person.unit != unit]
 
     def of_unit(name: str) -> list[dict[str, Any]]:
-        return [row for row in rows.get(name, []) if row["unit"] == unit]
+        return [row for row in rows[name] if row["unit"] == unit]
 
     return {
         "relaxation": relaxation(study),
@@ -76,8 +75,8 @@ def emg_section(study: StudyResult) -> dict[str, Any]:
         "shown_person": next((person.name for person in study.emg if person.shown), ""),
         "others": others,
         "index": _indices(of_unit("emg_cocontraction")),
-        "tests": rows.get("emg_tests", []),
-        "delays": _delays(rows.get("emg_reflexes", [])),
+        "tests": rows["emg_tests"],
+        "delays": _delays(rows["emg_reflexes"]),
         "remarks": [line for person in study.emg for line in person.remarks],
         "levels": _levels(of_unit("emg_levels")),
     }

@@ -7,7 +7,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from armperturb.files import checksum, write_csv, write_whole, written_together
+from armperturb.files import checksum, write_whole, written_together
 from armperturb.pages.page import Picture, rendered, versions
 from armperturb.perturbations.multisine import CLUSTERS, PERIOD
 from armperturb.progress import Progress
@@ -26,7 +26,7 @@ from armperturb.study.report.pictures import picture_units
 from armperturb.study.report.played import played_data, played_units
 from armperturb.study.report.provenance import provenance
 from armperturb.study.report.sections import joint_rows, sections
-from armperturb.study.report.tables import write_tables
+from armperturb.study.report.tables import write_or_remove, write_tables
 from armperturb.study.report.words import WORDS
 from armperturb.study.results.cache import CachedResult, Unit, kept_or_computed
 from armperturb.study.results.mean_admittance import by_task, main_conditions
@@ -122,8 +122,7 @@ def write_report(
         **emg_rows(study),
     }
     for name, lines in more.items():
-        if lines:
-            write_csv(lines, out / "tables" / f"{name}.csv")
+        write_or_remove(lines, out / "tables" / f"{name}.csv")
     films = made["films"][0] if made["films"] else ""
     parts = sections(study, scored, tested, rows, yielding, shoulder, drawn, played, films)
     page = _page(study, parts, drawn, checksums)
@@ -163,6 +162,7 @@ def _page(
         WORDS["sections"],
         drawn,
         study=study,
+        over_people=", mean ± SD over people" if len(study.names) > 1 else "",
         people=f"{len(study.names)} {'person' if len(study.names) == 1 else 'people'}",
         intervals=" with 95\N{NO-BREAK SPACE}% intervals" if len(study.names) > 1 else "",
         first=next(iter(study.recordings), ""),

@@ -178,6 +178,8 @@ def summary_rows(study: StudyResult, of_parameters: list[Row], of_fits: list[Row
 def write_tables(study: StudyResult, folder: Path) -> dict[str, list[Row]]:
     """Write every table that has rows as CSV, and `parameters.csv`; return the tables by name.
 
+    A table of an earlier report that has no rows any more is removed.
+
     Raises:
       OSError: the folder cannot be written to.
     """
@@ -194,9 +196,20 @@ def write_tables(study: StudyResult, folder: Path) -> dict[str, list[Row]]:
         "summary": summary_rows(study, of_parameters, of_fits),
     }
     for name, rows in tables.items():
-        if rows:
-            write_csv(rows, folder / f"{name}.csv")
+        write_or_remove(rows, folder / f"{name}.csv")
     return tables
+
+
+def write_or_remove(rows: list[Row], path: Path) -> None:
+    """Write a table as CSV; without rows remove that of an earlier report, which would be taken for this one's.
+
+    Raises:
+      OSError: the file cannot be written or removed.
+    """
+    if rows:
+        write_csv(rows, path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def published_or_nan(source: Callable[..., published.MeanSD], *names: str) -> published.MeanSD:

@@ -516,6 +516,7 @@ def test_reports_what_went_badly(study, tmp_path):
         *("pulse_signal", "joint_rotations", "trajectories_PT"),  # of the recording alone
     }
     assert "reached the &lt;limit&gt; at 9.000 s" in text
+    assert "SD over people" not in text  # there is only one person
     shown = Page(text).tables["summary"][1:]
     assert [row[0] for row in shown] == ["PT7.5"]
     assert shown[0][3] == f"{MISSING} ({MISSING})"
@@ -612,7 +613,12 @@ def test_reports_a_study_without_anybody_and_without_a_rig(study, tmp_path, monk
 
 def test_reports_a_protocol_of_pulses_alone(study, tmp_path):
     pulses = Protocol(conditions=(Condition(name="only <pulses>/1", task="RT", pulse_levels=(1,)),))
+    of_an_earlier_report = [tmp_path / "tables" / f"{name}.csv" for name in ("estimates", "emg_levels", "statistics")]
+    (tmp_path / "tables").mkdir()
+    for path in of_an_earlier_report:
+        path.write_text("not of this study\n")
     text = sketch(replace(study, protocol=pulses, cases=()), tmp_path)
+    assert not any(path.exists() for path in of_an_earlier_report)
     assert "as no condition\nhas a multisine" in text
     shown = [[row[0], *row[6:]] for row in Page(text).tables["conditions"][1:]]
     assert shown == [["only <pulses>/1", "4", "1"]]
