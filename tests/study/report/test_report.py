@@ -613,7 +613,7 @@ def test_reports_a_study_without_anybody_and_without_a_rig(study, tmp_path, monk
 
 def test_reports_a_protocol_of_pulses_alone(study, tmp_path):
     pulses = Protocol(conditions=(Condition(name="only <pulses>/1", task="RT", pulse_levels=(1,)),))
-    of_an_earlier_report = [tmp_path / "tables" / f"{name}.csv" for name in ("estimates", "fits", "emg_levels")]
+    of_an_earlier_report = [tmp_path / "tables" / f"{name}.csv" for name in ("estimates", "fits", "nonlinear_fits")]
     (tmp_path / "tables").mkdir()
     for path in of_an_earlier_report:
         path.write_text("not of this study\n")
