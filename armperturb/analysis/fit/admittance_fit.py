@@ -16,13 +16,11 @@ from armperturb.analysis.arm.linear_arm import Delay
 from armperturb.analysis.fit import admittance_problem
 from armperturb.analysis.fit.linear_start import with_linear_part
 from armperturb.analysis.fit.structures import Structure, start_in, structure_of, unit
+from armperturb.analysis.numerics.bounds import names_at_bound
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.arrays import Array
 from armperturb.environment import Environment
 from armperturb.subject import Subject
-
-AT_BOUND = 1e-6
-"""A parameter sits on a bound when it is closer to it than this share of the distance between its bounds."""
 
 PERFECT = 1e-16
 """A fit whose squared error per frequency is below this cannot be improved, and needs no other start."""
@@ -206,7 +204,6 @@ def _judged(
     modulus, slope = problem.modulus_and_slope(values)
     pole = problem.largest_pole(values).real
     factor = float(admittance_problem.penalty_factor(pole)) if use_penalty else 1.0
-    near = np.minimum(values - lower, upper - values) <= AT_BOUND * (upper - lower)
     sem = admittance_problem.standard_error(modulus, slope)
     unidentified = tuple(name for name, value in zip(names, sem, strict=True) if not np.isfinite(value))
     why = _WHY_STOPPED[status]
@@ -218,7 +215,7 @@ def _judged(
         values=dict(zip(names, values.tolist(), strict=True)),
         sem=dict(zip(names, sem.tolist(), strict=True)),
         unidentified=unidentified,
-        at_bound=tuple(name for name, hit in zip(names, near, strict=True) if hit),
+        at_bound=names_at_bound(names, values, lower, upper),
         status=why,
         converged=status > 0,
         criterion=float(np.mean(modulus**2) * factor**2),

@@ -35,6 +35,9 @@ from armperturb.environment import Environment
 from armperturb.joined_recordings import join_recordings
 from armperturb.subject import Subject
 
+APART = 0.1
+"""Share of the time before a pulse by which another trial's comes earlier if they are not taken together [-]."""
+
 ANOTHER, CLEARLY = 0.15, 5.0
 """Share of its impedance by which a manipulator differs from another one, and standard errors by which it must [-]."""
 
@@ -98,7 +101,7 @@ class Group:
         window_start: float = WINDOW_START,
         period: float | None = None,
     ) -> Self:
-        """Prepare trials. Of trials with pulses, what is before the earliest is used.
+        """Prepare trials. Of trials with pulses, what is before these is used.
 
         The perturbation may be of any kind. Records start at rest or amid the movement, see `likelihood`.
 
@@ -126,11 +129,19 @@ class Group:
             period=None if lines is None else _period_likelihood(parts[0], window_start, period, top),
         )
 
+    @cached_property
+    def of_records(self) -> tuple[ConditionTrials, ...]:
+        """The trials of each likelihood of whole records: of parts whose pulses come at various times, several each.
+
+        EMG takes the trials of a part together.
+        """
+        return self.parts if self.emg else tuple(few for part in self.parts for few in pulsed_alike(part))
+
     @property
     def records(self) -> tuple[RecordLikelihood, ...]:
-        """Likelihood of the whole records of each part."""
+        """Likelihood of the whole records, each up to the earliest pulse of its trials."""
         if "records" not in self.made:
-            self.made["records"] = tuple(record_likelihood(part, self.top) for part in self.parts)
+            self.made["records"] = tuple(record_likelihood(part, self.top) for part in self.of_records)
         return self.made["records"]
 
     @property
@@ -140,12 +151,13 @@ class Group:
         They share the frequencies at which a model is evaluated, which makes an hour thirty times as cheap.
         """
         if "segments" not in self.made:
-            counts = [_n_segments(part, self.top) for part in self.parts]
+            counts = [_n_segments(part, self.top) for part in self.of_records]
             self.made["segments"] = (
                 self.records
                 if max(counts) < 2
                 else tuple(
-                    record_likelihood(part, self.top, count) for part, count in zip(self.parts, counts, strict=True)
+                    record_likelihood(part, self.top, count)
+                    for part, count in zip(self.of_records, counts, strict=True)
                 )
             )
         return self.made["segments"]
@@ -156,7 +168,8 @@ class Group:
 
     def with_emg(self, emg: EmgLikelihood) -> Self:
         """The same trials, of which EMG tells as well; one part only."""
-        return replace(self, emg=emg)
+        made = self.made if len(self.of_records) == len(self.parts) else {}
+        return replace(self, emg=emg, made=made)
 
     @cached_property
     def initial(self) -> Array:
@@ -268,6 +281,17 @@ def _together(parts: Sequence[ConditionTrials]) -> ConditionTrials:
     if len(parts) == 1:
         return parts[0]
     return ConditionTrials.prepare(join_recordings([part.recording for part in parts]).recording)
+
+
+def pulsed_alike(part: ConditionTrials) -> list[ConditionTrials]:
+    """Trials whose pulses come at about the same time together, as of each group what is before its first is used."""
+    together: list[list[int]] = []
+    for trial in np.argsort(-part.onset, kind="stable").tolist():
+        if together and part.onset[trial] >= (1.0 - APART) * part.onset[together[-1][0]]:
+            together[-1].append(trial)
+        else:
+            together.append([trial])
+    return [part] if len(together) == 1 else [part.take(sorted(trials)) for trials in together]
 
 
 def remark_on_manipulators(parts: Sequence[ConditionTrials]) -> list[str]:

@@ -336,7 +336,11 @@ def identify_conditions(
             }
         if emg:
             fits = {label: told_without_emg(fit) for label, fit in fits.items()}
-    said = {label: (*cut_by_pulses(parts), *remark_on_manipulators(parts)) for label, parts in conditions.items()}
+    is_cut = estimator != "record" or emg is not None
+    said = {
+        label: (*(cut_by_pulses(parts) if is_cut else ()), *remark_on_manipulators(parts))
+        for label, parts in conditions.items()
+    }
     return Identifications(
         {
             label: Identification(

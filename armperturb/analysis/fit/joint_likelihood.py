@@ -1,6 +1,6 @@
 """Free parameters of several conditions in one vector, and their likelihood."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,6 +15,7 @@ from armperturb.analysis.fit.trial_effects import QUANTITIES, SINGULAR, TrialSco
 from armperturb.analysis.fit.trials_with_emg import TrialsWithEmg
 from armperturb.analysis.fit.whittle import LackOfFit, Normal
 from armperturb.analysis.manipulator import manipulator_covariance
+from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
 from armperturb.subject import Subject
 
@@ -51,8 +52,7 @@ class JointLikelihood:
         every = [
             (at, TrialsWithEmg(likelihood, group.emg) if group.emg else likelihood, trials)
             for at, group in enumerate(self.groups)
-            for likelihood, trials in zip(_likelihoods(group, method, sketchy), group.parts, strict=False)
-            if likelihood is not None
+            for likelihood, trials in _likelihoods(group, method, sketchy)
         ]
         self.parts = [(at, likelihood) for at, likelihood, _ in every]
         self._trials = [trials for _, _, trials in every]
@@ -319,10 +319,11 @@ class JointLikelihood:
         require_informative(information, self.names)
 
 
-def _likelihoods(group: Group, method: Method, sketchy: bool) -> Sequence[Likelihood | None]:
+def _likelihoods(group: Group, method: Method, sketchy: bool) -> Iterable[tuple[Likelihood, ConditionTrials]]:
+    """Each likelihood of a group, and its trials."""
     if method == "frequency":
-        return [group.period]
-    return group.segments if sketchy else group.records
+        return [] if group.period is None else [(group.period, group.parts[0])]
+    return zip(group.segments if sketchy else group.records, group.of_records, strict=True)
 
 
 def names_of_emg(group: Group) -> tuple[str, ...]:

@@ -29,7 +29,10 @@ def too_short(
 
 
 def cut_by_pulses(parts: Sequence[ConditionTrials]) -> list[str]:
-    """Parts of a condition of which much is not used, as trials are used up to the earliest pulse, a line each."""
+    """Parts of a condition of which much is not used, as trials are used up to the earliest pulse, a line each.
+
+    So they are by estimates from mean periods and by EMG.
+    """
     remarks = []
     for part in parts:
         before = float(np.mean(np.minimum(part.onset, part.n_samples)))
@@ -37,7 +40,7 @@ def cut_by_pulses(parts: Sequence[ConditionTrials]) -> list[str]:
             used = part.first_onset / part.rate
             remarks.append(
                 f"{part.n_trials} trials are used up to {used:.3g} s, where the earliest pulse begins, of "
-                f"{before / part.rate:.3g} s before their pulses (in Python, a list of recordings of one trial each is "
-                "used up to each pulse)"
+                f"{before / part.rate:.3g} s before their pulses (--estimator record without --emg uses each trial up to "
+                "its own)"
             )
     return remarks

@@ -12,6 +12,7 @@ from scipy import optimize
 from armperturb.analysis.fit.joint_likelihood import Effects, JointLikelihood
 from armperturb.analysis.fit.trial_effects import SINGULAR, scaled
 from armperturb.analysis.fit.whittle import Normal
+from armperturb.analysis.numerics.bounds import names_at_bound
 from armperturb.arrays import Array
 
 MAX_ROUNDS = 60
@@ -30,6 +31,9 @@ SETTLED, SKETCHED = 0.01, 0.2
 STALLED = 0.1
 """A step that had to be shortened so far below that size ends a search too, once the noise is held [-]: derivatives
 that leave something out lead no further."""
+
+UNUSUAL = 2.0
+"""Factor by which delays and cut-offs are unusual if they differ by more from those of the structures' starts [-]."""
 
 
 class Searchable(Protocol):
@@ -152,3 +156,27 @@ def search_best(problem: JointLikelihood, start: Array) -> Searched:
     start = search_from(problem, start, settled=SKETCHED).values
     problem.quick = False
     return search_from(problem, start, weighed=REFINED_ROUNDS)
+
+
+def has_unusual_delays(problem: JointLikelihood, values: Array) -> bool:
+    """Whether a delay or a cut-off sits on a bound, or is far from that of the structures' starts."""
+    at_bound, usual = names_at_bound(problem.names, values, problem.lower, problem.upper), problem.published()
+    return any(
+        name.startswith(("Td_", "fact_")) and (name in at_bound or not start / UNUSUAL < value < start * UNUSUAL)
+        for name, value, start in zip(problem.names, values, usual, strict=True)
+    )
+
+
+def with_usual_delays(problem: JointLikelihood) -> Array:
+    """The most likely values whose delays and activation dynamics are those of the structures' starts, (parameter,).
+
+    Where they are free the likelihood has further maxima, at delays that are far too long, from which a search does not
+    find back.
+    """
+    bounds, usual = (problem.lower.copy(), problem.upper.copy()), problem.published()
+    for column, name in enumerate(problem.names):
+        if name.startswith(("Td_", "fact_", "zeta_")):
+            problem.lower[column] = problem.upper[column] = usual[column]
+    values = search_best(problem, problem.stabilised(usual)).values
+    problem.lower, problem.upper = bounds
+    return values

@@ -19,9 +19,11 @@ from armperturb.analysis.fit.likelihood_search import (
     SKETCHED,
     Searched,
     bounded_step,
+    has_unusual_delays,
     search_best,
     search_from,
     step_size,
+    with_usual_delays,
 )
 from armperturb.analysis.fit.structures import unit
 from armperturb.analysis.fit.trial_effects import (
@@ -38,6 +40,7 @@ from armperturb.analysis.fit.trial_effects import (
 from armperturb.analysis.fit.whittle import LackOfFit, Normal
 from armperturb.analysis.force_balance import Skew
 from armperturb.analysis.imbalance import Imbalance
+from armperturb.analysis.numerics.bounds import names_at_bound
 from armperturb.analysis.results import Description, FitResult, limits_of, parameter_table
 from armperturb.arrays import Array
 from armperturb.subject import Subject
@@ -54,9 +57,6 @@ EFFECT_ROUNDS = 6
 
 LEAST_SPREAD = 1e-3
 """Spreads over trials below this are none [-]."""
-
-AT_BOUND = 1e-6
-"""A parameter sits on a bound when it is closer to it than this share of the distance between its bounds."""
 
 SKEWED = 2e-4
 """Least skew between force and displacement that is reported, if it is beyond three standard errors [s]."""
@@ -211,36 +211,14 @@ def estimate(
         search = min(search, *others, key=lambda each: problem.objective(each.values))
         problem.weigh(search.values)
         fit = problem.lack_of_fit(search.values)
-    ends = [name for name in _at_bound(problem, search.values) if name.startswith(("Td_", "fact_"))]
-    # Maxima at the end of a delay's or a cut-off's range are seldom the global one.
-    if not is_given and (ends or fit.chi2 > LARGE_LACK * fit.dof):
-        again = search_best(problem, _with_usual_delays(problem))
+    # Maxima at unusual delays or cut-offs, or at the end of their range, are seldom the global one.
+    if not is_given and (has_unusual_delays(problem, search.values) or fit.chi2 > LARGE_LACK * fit.dof):
+        again = search_best(problem, with_usual_delays(problem))
         search = min(search, again, key=lambda each: problem.objective(each.values))
     if first_method != method:
         problem = JointLikelihood(groups, method, share)
         search = search_best(problem, problem.stabilised(search.values))
     return _judge(problem, method, _with_trial_effects(problem, search))
-
-
-def _at_bound(problem: JointLikelihood, values: Array) -> tuple[str, ...]:
-    """Names of the parameters that sit on a bound."""
-    near = np.minimum(values - problem.lower, problem.upper - values) <= AT_BOUND * (problem.upper - problem.lower)
-    return tuple(name for name, hit in zip(problem.names, near, strict=True) if hit)
-
-
-def _with_usual_delays(problem: JointLikelihood) -> Array:
-    """The most likely values whose delays and activation dynamics are those of the structures' starts, (parameter,).
-
-    Where they are free the likelihood has further maxima, at delays that are far too long, from which a search does not
-    find back.
-    """
-    bounds, usual = (problem.lower.copy(), problem.upper.copy()), problem.published()
-    for column, name in enumerate(problem.names):
-        if name.startswith(("Td_", "fact_", "zeta_")):
-            problem.lower[column] = problem.upper[column] = usual[column]
-    values = search_best(problem, problem.stabilised(usual)).values
-    problem.lower, problem.upper = bounds
-    return values
 
 
 class Sketch(NamedTuple):
@@ -278,7 +256,7 @@ def sketch(group: Group, starts: Sequence[Array], method: Method = "record", *, 
     ends = [search_from(problem, start, settled=SKETCHED, most=most).values]
     seconds = sum(part.n_trials * part.end / part.rate for part in group.parts)
     if seconds < PLENTY and any(name.startswith("Td_") for name in problem.names):
-        usual = _with_usual_delays(problem)
+        usual = with_usual_delays(problem)
         ends.append(search_from(problem, usual, settled=SKETCHED, most=most).values)
     values = min(ends, key=problem.objective)
     objective = problem.objective(values)
@@ -293,7 +271,7 @@ def sketch(group: Group, starts: Sequence[Array], method: Method = "record", *, 
 def _of_whole_trials(scores: Sequence[TrialScore], group: Group) -> list[TrialScore]:
     """The scores of segments, those of a trial together."""
     left, summed = iter(scores), []
-    for part, likelihood in zip(group.parts, group.segments, strict=True):
+    for part, likelihood in zip(group.of_records, group.segments, strict=True):
         for _ in range(part.n_trials):
             same = [next(left) for _ in range(likelihood.n_trials // part.n_trials)]
             score = np.sum([each.score for each in same], axis=0)
@@ -422,7 +400,7 @@ def _judge(problem: JointLikelihood, method: Method, search: Searched) -> Estima
         degrees_of_freedom={} if search.dof is None else dict(zip(names, search.dof.tolist(), strict=True)),
         correlation=correlation,
         trial_spread={} if search.spread is None or is_assumed else _told(search.spread),
-        at_bound=_at_bound(problem, values),
+        at_bound=names_at_bound(problem.names, values, problem.lower, problem.upper),
         arms={group.label: arm for group, arm in zip(problem.groups, problem.arms(values), strict=True)},
         message=search.status,
         remarks=(),

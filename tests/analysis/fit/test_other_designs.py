@@ -103,12 +103,25 @@ def test_what_is_not_used_is_named():
     assert list(both) == ["long"]
     line = "short is not identified, as a trial of it ends or is pulsed before 8 s (an earlier --window-start)"
     assert line in both["long"].fit.remarks
-    pulsed = identify(recorded(3, 28.0, onsets=[27.0, 20.0, 25.0]), VELOCITY)
+    pulsed = identify(recorded(3, 28.0, onsets=[27.0, 20.0, 25.0]), VELOCITY, estimator="frequency")
     assert any(
         remark.startswith("3 trials are used up to 20 s, where the earliest pulse begins, of 24 s")
         for remark in pulsed.fit.remarks
     )
     assert not any("used up to" in remark for remark in both["long"].fit.remarks)
+
+
+@pytest.mark.slow(reason="fits eight trials twice")
+def test_each_trial_is_used_up_to_its_pulse_and_no_search_ends_at_unusual_delays():
+    onsets = [25.42, 23.07, 15.46, 14.01, 18.0, 24.06, 23.76, 18.61]
+    recording = recorded(8, 30.0, seed=4, onsets=onsets)
+    used, cut = (identify(each, VELOCITY).fit for each in (recording, recording.isel(time=slice(0, round(14 * RATE)))))
+    assert not any("used up to" in remark for remark in used.remarks)
+    for name in ("k_s", "k_e", "b_s", "b_e", "kv_s"):
+        assert used.standard_error[name] < 0.9 * cut.standard_error[name], name
+    # A second maximum lies at a delay of 0.13 s and a k_s of 38.
+    for name in ("k_s", "k_se", "k_e", "kv_s", "kv_e", "Td_s", "Td_e"):
+        assert abs(used.values[name] - getattr(RELAXED, name)) < 3.0 * used.standard_error[name], name
 
 
 @pytest.mark.parametrize("changes", [{"m_env": 4.0, "b_env": 30.0, "k_env": 0.0}, {"k_env": 250.0}])
