@@ -40,7 +40,6 @@ def cut_by_pulses(parts: Sequence[ConditionTrials]) -> list[str]:
             used = part.first_onset / part.rate
             remarks.append(
                 f"{part.n_trials} trials are used up to {used:.3g} s, where the earliest pulse begins, of "
-                f"{before / part.rate:.3g} s before their pulses (--estimator record without --emg uses each trial up to "
-                "its own)"
+                f"{before / part.rate:.3g} s before their pulses (--estimator record without --emg uses each up to its own)"
             )
     return remarks
