@@ -40,6 +40,7 @@ def cut_by_pulses(parts: Sequence[ConditionTrials]) -> list[str]:
             used = part.first_onset / part.rate
             remarks.append(
                 f"{part.n_trials} trials are used up to {used:.3g} s, where the earliest pulse begins, of "
-                f"{before / part.rate:.3g} s before their pulses (--estimator record without --emg uses each up to its own)"
+                f"{before / part.rate:.3g} s before their pulses (without --emg, --estimator record uses each up to "
+                "its own)"
             )
     return remarks
