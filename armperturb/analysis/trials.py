@@ -31,6 +31,13 @@ APERIODIC = 1e-2
 NEGLIGIBLE = 1e-9
 """Disturbances below this count as zero [N]."""
 
+STEP = 0.005
+"""Time in which a handle that starts at rest hardly moves [s]."""
+
+HELD = 0.2
+"""Force at the start over its standard deviation from which on it may be constant, and its difference from the
+perturbation over it up to which it is [-]."""
+
 AT_REST = 0.02
 """Distance from zero, and between two samples, over the RMS displacement below which a handle is at rest [-]."""
 
@@ -221,11 +228,14 @@ class ConditionTrials:
 
     @cached_property
     def from_rest(self) -> bool:
-        """Whether every trial starts with the handle at rest at zero, as far as its first two samples tell."""
-        x = self.recorded_displacement
+        """Whether every trial starts at rest, the handle at zero and under no constant force, as its start tells."""
+        d, f, x = self.signals
         rms = np.sqrt(np.mean(x**2, axis=1))
-        place, step = np.abs(x[:, 0]), np.abs(x[:, 1] - x[:, 0])
-        return bool(np.all((place < AT_REST * rms) & (step < AT_REST * rms)))
+        place, step = np.abs(x[:, 0]), np.abs(x[:, max(1, round(STEP * self.rate))] - x[:, 0])
+        held = np.abs(f[:, 0])
+        # A handle at rest exerts on the hand what is exerted on it, where that is not nothing.
+        is_held = (held > HELD * f.std(axis=1)) & (np.abs(d[:, 0] - f[:, 0]) < HELD * held)
+        return bool(np.all((place < AT_REST * rms) & (step < AT_REST * rms)) and not is_held.any())
 
     @cached_property
     def skew(self) -> Skew:

@@ -10,9 +10,10 @@ force on the hand, d = disturbance and E = m s^2 + b s + k of the manipulator,
 The torque J^T f of the muscles and q are those that were recorded, so that stiffness, damping and reflexes are exactly
 those of a linear arm from f' to x', and d' - f' moves the manipulator by x'.
 
-Two more things are known once the arm has been estimated. Its grip G gives way by G f, so that the hand is at x - G f
-and x' = J_0 q + G f'. And the inertia of its joints depends on the elbow angle theta, by the coupling c of the
-segments: what the torque of the start posture's inertia lacks,
+Two more things are known once the arm has been estimated. Its grip G gives way by G (f - f_0), where f_0, the mean of
+d, is the force in the start posture, so that the hand is at x - G (f - f_0) and x' = J_0 q + G (f' - f_0). And the
+inertia of its joints depends on the elbow angle theta, by the coupling c of the segments: what the torque of the start
+posture's inertia lacks,
 
     tau = c (cos theta - cos theta_0) [2 q_s'' + q_e'', q_s''] + c sin theta [-(2 q_s' + q_e') q_e', q_s'^2],
 
@@ -66,7 +67,8 @@ def in_start_geometry(trials: Trials, arm: Subject | None = None) -> ConditionTr
     """
     ready = prepared(trials)
     start, environment, rate = hand_jacobian(ready.body), ready.environment, ready.rate
-    of_hand = ready.recorded_displacement - _deflection(arm, ready.force, rate)
+    at_rest = ready.perturbation.mean(axis=(0, 1))
+    of_hand = ready.recorded_displacement - _deflection(arm, ready.force - at_rest, rate)
     moved = ready.recording.assign(displacement=ready.recording["displacement"].copy(data=of_hand))
     hand, rotations = hand_path(moved), joint_rotations(moved)
     shoulder = ready.body.posture[0] + rotations[..., 0]
@@ -75,7 +77,7 @@ def in_start_geometry(trials: Trials, arm: Subject | None = None) -> ConditionTr
     if arm is not None:
         torque -= _inertial_torque(coupling(arm), rotations, ready.body.posture[1], rate)
     force = torque @ np.linalg.inv(start)
-    displacement = rotations @ start.T + _deflection(arm, force, rate)
+    displacement = rotations @ start.T + _deflection(arm, force - at_rest, rate)
     excess = displacement - ready.recorded_displacement
     velocity, acceleration = _derivatives(excess, rate)
     balance = environment.m_env * acceleration + environment.b_env * velocity + environment.k_env * excess

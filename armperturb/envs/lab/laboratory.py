@@ -46,7 +46,8 @@ class Rest:
     Attributes:
       posture: joint of the model to its position [rad or m].
       activation: muscle to its constant activation [-].
-      force: of the handle on the hand [N], (axis,). The manipulator bears it, and the strain gauge is tared to it.
+      force: of the handle on the hand [N], (axis,). The manipulator bears it: it is the constant part of the
+        perturbation and of the recorded force.
       settled: time that the arm took to find its rest, with the hand on the handle that was held [s]; 0 where the
         posture is one of rest.
       segments: lengths and angles of the arm as a recording has them.
@@ -82,9 +83,9 @@ class Laboratory:
     """Handle, grip, manipulator, perturbation and instruments around an arm in MJCF.
 
     The arm takes a posture and finds its rest: its hand grips the handle, which is held, and velocities are braked
-    until nothing moves any more. The force that the handle then exerts is borne by the manipulator in all trials, and
-    the strain gauge is tared, so that recordings hold deviations from rest. Weights do not act unless `gravity` is set:
-    a rope carries the arm, as in the thesis. A hand that can leave the plane of the handle is held at its height by the
+    until nothing moves any more. The force that the handle then exerts is borne by the manipulator in all trials, as
+    the constant part of perturbation and force. Weights do not act unless `gravity` is set: a rope carries the arm, as
+    in the thesis. A hand that can leave the plane of the handle is held at its height by the
     grip, with the same stiffness and damping; handles turn freely in hands.
 
     Attributes:
@@ -290,9 +291,11 @@ class Laboratory:
             )
         limit_time = reached[0] * setup.decimation * timestep if len(reached) else np.nan
         angle = log[:, 2:] * np.array(arm.signs) + np.array(arm.offsets)
-        signals = np.concatenate([log[:, :2], force - self.rest.force, angle], axis=1)
-        rest = np.concatenate([np.zeros(4), np.radians([arm.theta_s_deg, arm.theta_e_deg])[: angle.shape[1]]])
-        return setup.sampled(push[1 : n_steps + 1]), setup.sampled(signals, rest), limit_time
+        signals = np.concatenate([log[:, :2], force, angle], axis=1)
+        rest = np.concatenate(
+            [np.zeros(2), self.rest.force, np.radians([arm.theta_s_deg, arm.theta_e_deg])[: angle.shape[1]]]
+        )
+        return setup.sampled(known[1 : n_steps + 1], self.rest.force), setup.sampled(signals, rest), limit_time
 
 
 def _name_of(model: str | Path | mujoco.MjSpec) -> str:

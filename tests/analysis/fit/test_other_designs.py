@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import signal
+from scipy.interpolate import CubicSpline
 
 from armperturb.analysis.arm.geometry import hand_jacobian
 from armperturb.analysis.arm.state_space import simulate_linear
@@ -82,6 +83,33 @@ def test_a_constant_force_in_the_perturbation_hides_neither_period_nor_independe
     assert trials.is_perturbed(2.0)
     still = held.assign(perturbation=0.0 * held["perturbation"] + 5.0)
     assert not ConditionTrials.prepare(still, is_checked=True).is_perturbed(2.0)
+
+
+def relabelled(signals, like, rate):
+    """Signals with the labels of a recording's trials."""
+    labels = {name: coord.values for name, coord in like.coords.items() if coord.dims == ("trial",)}
+    return ConditionTrials.prepare(make_recording(signals, labels, rate))
+
+
+def test_a_start_amid_the_movement_is_none_at_rest_at_any_rate():
+    amid = recorded(2, 12.0)
+    time = np.arange(amid.sizes["time"]) / RATE
+    for rate in (RATE, 5.0 * RATE, 10.0 * RATE):
+        fine = np.arange(round(time[-1] * rate)) / rate
+        signals = {name: CubicSpline(time, values.values, axis=1)(fine) for name, values in amid.data_vars.items()}
+        signals["displacement"] -= signals["displacement"][:, :1]
+        assert not relabelled(signals, amid, rate).from_rest
+
+
+def test_a_start_at_rest_under_a_constant_force_is_none_from_nothing():
+    amid, force = recorded(1, 12.0), multisine(np.random.default_rng(0), 12.0)
+    force *= np.minimum(np.arange(len(force)) / RATE, 1.0)[:, None]
+    response = simulate_linear(RELAXED, ENVIRONMENT, force[None], RATE)
+    signals = {"perturbation": force[None], "force": response.force, "displacement": response.displacement}
+    assert relabelled(signals, amid, RATE).from_rest
+    held = np.array([10.0, 0.0])
+    signals |= {name: signals[name] + held for name in ("perturbation", "force")}
+    assert not relabelled(signals, amid, RATE).from_rest
 
 
 def test_stiffness_of_fits_that_follow_the_moving_arm_gets_the_turning_of_a_held_force_once():

@@ -139,7 +139,19 @@ def test_an_arm_finds_its_rest_under_a_load(files):
     np.testing.assert_allclose(jacobian.T @ force, STIFFNESS @ angles, rtol=2e-3)  # the grip yields a little
     recording = laboratory.record([ap.Pulse(peak=1e-9, direction_deg=0.0, onset=0.0, duration=1.0)])
     assert np.abs(recording["displacement"].values).max() < 1e-7
-    assert np.abs(recording["force"].values).max() < 1e-4
+    for name in ("perturbation", "force"):
+        np.testing.assert_allclose(recording[name].values - force, 0.0, atol=1e-4)
+
+
+@pytest.mark.slow(reason="simulates and fits trials")
+def test_stiffness_of_an_arm_that_is_held_by_a_force_is_that_of_its_joints(files):
+    laboratory = ap.Laboratory(files / "two_link.xml", "palm", posture_deg={"q1": 20.0, "q2": -20.0})
+    assert np.hypot(*laboratory.rest.force) > 20.0
+    multisines = [ap.Multisine.draw(rms=1.0, seed=seed) for seed in range(3)]
+    fit = ap.identify(laboratory.record(multisines, instruments=ap.Instruments())).fit
+    (shoulder, both), (_, elbow) = STIFFNESS
+    for name, value in {"k_s": shoulder, "k_se": both, "k_e": elbow}.items():
+        assert fit.values[name] == pytest.approx(value, rel=0.01), name
 
 
 def test_reflexes_oppose_a_stretch_after_their_delay(files):
