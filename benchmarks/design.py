@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 
 GROUPS = 200
 TRIALS = 4
-PEOPLE = 40
+PEOPLE = 20
 OWN = 10
 TOLERANCE = 0.15
 """How far the measured factor may be off the predicted one."""

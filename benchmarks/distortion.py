@@ -9,10 +9,9 @@ with nothing but the short-range stiffness and its elastic limit left of their m
 
 Measured (RT7.5 / RT22.5; p < 0.05 is "detected") on people of seeds from 20000 on, whom nobody had looked at:
 
-    linear, 200 people      detected with 4 trials 6.0 / 5.5 %, 2 trials 4.5 / 2.5 %, 1 trial 5.5 / 6.5 %;
-                            statistic within 1.96 of zero 96.0 / 95.5 % (4 trials), level at a frequency within 1.96
-                            standard errors of zero 96.2 / 96.1 %
-    linear, 100 people      detected with 3 trials 6.0 / 4.0 %
+    linear, 200 people      detected with 4 trials 7.0 / 7.5 %, 3 trials 9.0 / 8.0 %, 2 trials 5.5 / 5.5 %, 1 trial
+                            10.0 / 9.0 %; statistic within 1.96 of zero 93.5 / 93.5 %, level at a frequency within 1.96
+                            standard errors of zero 96.0 / 95.7 % (4 trials)
     nonlinear, 100 people   detected with 4 trials 100 / 98 %, 2 trials 97 / 92 %, 1 trial 93 / 78 %
     nonlinear, 40 people    detected with 3 trials 100 / 100 %
 

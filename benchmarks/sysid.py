@@ -16,6 +16,7 @@ the processor, and both costs are ours, so that they may be compared.
 """
 
 import io
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -204,8 +205,7 @@ def main() -> None:
 
         sysid.optimize  # noqa: B018 - the package imports without its extra, but is empty then
     except (ImportError, AttributeError):
-        print('mujoco.sysid is not complete: pip install "mujoco[sysid]" -c constraints.txt')
-        return
+        sys.exit('mujoco.sysid is not complete: pip install "mujoco[sysid]" -c constraints.txt')
     data = recorded()
     start = data.truth * OFF ** np.where(np.arange(len(NAMES)) % 2, 1.0, -1.0)
     cost = our_residual(data)
