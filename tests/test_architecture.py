@@ -17,9 +17,10 @@ BASE |= {"joined_recordings", "jit", "muscle_law", "person_files", "subject", "e
 ARM = BASE | {
     "analysis.cuts", "analysis.defaults", "analysis.plateaus", "analysis.arm", "analysis.excited_bands",
     "analysis.imbalance", "analysis.force_balance", "analysis.trials", "analysis.per_trials", "analysis.manipulator",
-    "analysis.numerics",
+    "analysis.numerics", "analysis.start", "analysis.pulses_alone",
     "analysis.results", "plots", "anthropometry",
 }  # fmt: skip
+OF_TRIALS = {"analysis.per_trials", "analysis.manipulator", "analysis.pulses_alone"}
 ANALYSIS = ARM | {"analysis.response", "analysis.measures", "analysis.emg", "analysis.fit", "analysis.nonlinear"}
 ANALYSIS |= {"analysis.varying"}
 LAB = ARM | {"perturbations", "models", "controllers", "planar_arm", "cohort"}
@@ -61,9 +62,11 @@ ARROWS = {
     "plots": BASE,
     "pages": BASE | {"plots"},
     "analysis.results": BASE | {"plots"},
-    "analysis.trials": ARM - {"analysis.trials", "analysis.per_trials", "analysis.manipulator"},
-    "analysis.per_trials": ARM - {"analysis.per_trials", "analysis.manipulator"},
-    "analysis.manipulator": ARM - {"analysis.manipulator"},
+    "analysis.start": BASE,
+    "analysis.trials": ARM - {"analysis.trials", *OF_TRIALS},
+    "analysis.per_trials": ARM - OF_TRIALS,
+    "analysis.manipulator": ARM - OF_TRIALS | {"analysis.per_trials"},
+    "analysis.pulses_alone": ARM - OF_TRIALS,
     "analysis.response": ARM,
     "analysis.measures": ARM,
     "analysis.fit": ARM | {"analysis.response", "analysis.measures", "analysis.emg"},

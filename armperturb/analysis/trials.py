@@ -19,6 +19,7 @@ from armperturb.analysis.cuts import ARM_LABELS, limit_samples, of_condition, on
 from armperturb.analysis.defaults import SETTLED
 from armperturb.analysis.force_balance import EDGE, Balance, NoiseLevels, Skew
 from armperturb.analysis.numerics.periodicity import find_period, samples_of_period
+from armperturb.analysis.start import start_at_rest
 from armperturb.arrays import Array, Indices
 from armperturb.environment import Environment
 from armperturb.recording import EXPECTED, TRIAL_COORDINATES, check_recording
@@ -30,16 +31,6 @@ APERIODIC = 1e-2
 
 NEGLIGIBLE = 1e-9
 """Disturbances below this count as zero [N]."""
-
-STEP = 0.005
-"""Time in which a handle that starts at rest hardly moves [s]."""
-
-HELD = 0.2
-"""Force at the start over its standard deviation from which on it may be constant, and its difference from the
-perturbation over it up to which it is [-]."""
-
-AT_REST = 0.02
-"""Distance from zero, and between two samples, over the RMS displacement below which a handle is at rest [-]."""
 
 ALIKE = 0.9
 """Correlation from which on two perturbations are the same one [-]."""
@@ -228,14 +219,8 @@ class ConditionTrials:
 
     @cached_property
     def from_rest(self) -> bool:
-        """Whether every trial starts at rest, the handle at zero and under no constant force, as its start tells."""
-        d, f, x = self.signals
-        rms = np.sqrt(np.mean(x**2, axis=1))
-        place, step = np.abs(x[:, 0]), np.abs(x[:, max(1, round(STEP * self.rate))] - x[:, 0])
-        held = np.abs(f[:, 0])
-        # A handle at rest exerts on the hand what is exerted on it, where that is not nothing.
-        is_held = (held > HELD * f.std(axis=1)) & (np.abs(d[:, 0] - f[:, 0]) < HELD * held)
-        return bool(np.all((place < AT_REST * rms) & (step < AT_REST * rms)) and not is_held.any())
+        """Whether every trial starts at rest, the handle at zero and under no constant force."""
+        return start_at_rest(*self.signals, self.rate)
 
     @cached_property
     def skew(self) -> Skew:

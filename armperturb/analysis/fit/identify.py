@@ -25,6 +25,7 @@ from armperturb.analysis.fit.use_emg import UseOfEmg, told_without_emg
 from armperturb.analysis.measures.endpoint import EndpointImpedance
 from armperturb.analysis.measures.start_geometry import in_start_geometry
 from armperturb.analysis.measures.vaf import prediction_vaf
+from armperturb.analysis.pulses_alone import PULSES_ALONE, fitted_whole
 from armperturb.analysis.response.condition_spectra import condition_spectra
 from armperturb.analysis.response.spectra import SpectralEstimate
 from armperturb.analysis.results import Description, Result, Table, parameter_table, plain
@@ -267,7 +268,7 @@ def identify_conditions(
 
     Returns:
       Condition to what it yields, in the order of the recording; those in which nothing perturbs the window, as where
-      there are pulses alone, are left out if there are others.
+      there are pulses alone, are left out if there are others; if there are none, trials are used with their pulses.
 
     Raises:
       TypeError: as `identify`.
@@ -296,8 +297,13 @@ def identify_conditions(
     perturbed = {
         label: parts for label, parts in conditions.items() if all(part.is_perturbed(window_start) for part in parts)
     }
-    remarks = too_short(conditions, perturbed, window_start) if perturbed else []
-    conditions = perturbed or conditions
+    if perturbed:
+        remarks = too_short(conditions, perturbed, window_start)
+        conditions = perturbed
+    else:
+        whole = {label: tuple(fitted_whole(parts)) for label, parts in conditions.items()}
+        remarks = [PULSES_ALONE] if whole != conditions else []
+        conditions = whole
     for parts in conditions.values():
         for part in parts:
             part.check_period(window_start, period)

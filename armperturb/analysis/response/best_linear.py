@@ -39,7 +39,7 @@ from scipy import interpolate, stats
 
 from armperturb.analysis.cuts import require_two_axes
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, SETTLED
-from armperturb.analysis.response.closed_loop import HIGHEST_ORDER, periodic_trials, whole_window
+from armperturb.analysis.response.closed_loop import HIGHEST_ORDER, periodic_trials
 from armperturb.analysis.response.frequency_response import FrequencyResponse
 from armperturb.analysis.response.local_polynomial import (
     ComplexArray,
@@ -47,6 +47,7 @@ from armperturb.analysis.response.local_polynomial import (
     Window,
     fit_locally,
     frequency_response,
+    whole_window,
     without,
 )
 from armperturb.analysis.results import Description, Result, Table, plain

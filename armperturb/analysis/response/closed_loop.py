@@ -12,6 +12,7 @@ excited lines alone, and the quiet lines beside them show leakage and noise. Lin
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -25,12 +26,14 @@ from armperturb.analysis.response.joint_records import excited_frequencies
 from armperturb.analysis.response.line_balance import find_balance, holds
 from armperturb.analysis.response.local_polynomial import (
     N_INPUTS,
+    DependentDisturbancesError,
     LocalFit,
     Window,
     fit_locally,
     frequency_response,
     n_unknowns,
     where_independent,
+    whole_window,
 )
 from armperturb.analysis.response.spectra import EXCITED_LINE
 from armperturb.analysis.trials import (
@@ -161,15 +164,22 @@ class Periodic(NamedTuple):
 def fit_near(windows: Sequence[Window], centre: float, orders: Sequence[int], own_levels: bool = False) -> LocalFit:
     """Raise the order while a likelihood-ratio test favours it and 2 `LEAST_DOF` residual degrees of freedom remain.
 
+    The answer to a single pulse is as smooth in frequency as leakage, which is not fitted where nothing leaks.
+
     Where it is not needed, a further complex coefficient of an output lowers the logarithm of its sum of squares, times
     the number of lines, by about a gamma variable of shape one.
     """
-    best = fit_locally(windows, centre, order=orders[0], leakage_order=LEAKAGE_ORDER, own_levels=own_levels)
+    leakage_order = LEAKAGE_ORDER if any(window.leaks for window in windows) else -1
+    fit = partial(fit_locally, windows, centre, leakage_order=leakage_order, own_levels=own_levels)
+    best = fit(order=orders[0])
     for lower, order in pairwise(orders):
         extra = windows[0].perturbation.shape[1] * (order - lower)
         if best.dof - extra < 2 * LEAST_DOF:
             break
-        better = fit_locally(windows, centre, order=order, leakage_order=LEAKAGE_ORDER, own_levels=own_levels)
+        try:
+            better = fit(order=order)
+        except DependentDisturbancesError:
+            break
         before, after = (np.log(fit.dof * np.diagonal(fit.noise).real) for fit in (best, better))
         gain = float(np.max(before - after)) * (best.dof + better.dof) / 2
         if gain < extra + CLEARLY * np.sqrt(extra):
@@ -403,14 +413,6 @@ def local_fits(recordings: SeveralTrials, window_start: float) -> tuple[list[Loc
     fits = where_independent(excited_band(records), lambda centre: fit_near(near(centre), centre, HIGH_ORDERS))
     lines = [np.concatenate([window.perturbation for window in near(centre)]) for centre in fits]
     return [*fits.values()], np.array([d.T @ d.conj() / len(d) for d in lines])
-
-
-def whole_window(record: TrialRecord) -> Window:
-    """DFT of a whole record, without the mean."""
-    n = len(record.perturbation)
-    d, z = (np.fft.rfft(values, axis=0)[1:] / np.sqrt(n) for values in (record.perturbation, record.response))
-    frequency = np.asarray(np.fft.rfftfreq(n, 1.0 / record.rate)[1:], dtype=float)
-    return Window(frequency, d, z, np.ones(len(d), dtype=bool))
 
 
 def excited_band(records: Sequence[TrialRecord]) -> Array:

@@ -63,7 +63,8 @@ def condition_spectra(
 
 
 def _of_whole_records(parts: Sequence[ConditionTrials]) -> SpectralEstimate:
-    start = 0.0 if all(part.from_rest for part in parts) else SETTLED
+    later = not all(part.from_rest for part in parts) and all(part.is_perturbed(SETTLED) for part in parts)
+    start = SETTLED if later else 0.0
     fits, power = local_fits(parts, start)
     noises = [(fit.noise, fit.dof) for fit in fits]
     arm, environment, total = (frequency_response(fits, what, noises) for what in ("arm", "environment", "total"))

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START
+from armperturb.analysis.pulses_alone import used_whole
 from armperturb.analysis.response.arx import fit_arx
 from armperturb.analysis.response.closed_loop import estimate_multisine, estimate_noise
 from armperturb.analysis.response.frequency_response import FrequencyResponse, System, require_frequencies
@@ -169,7 +170,8 @@ def response(
     coherence and distortion, see `one_axis`.
 
     Args:
-      recording: trials of one person in one condition, or several such recordings.
+      recording: trials of one person in one condition, or several such recordings; used up to their pulses, or with
+        these where nothing else perturbs them.
       method: one of `METHODS`; None is "multisine", and of one axis "noise", which takes any disturbance and is the
         only one there. Of multisines, whatever their lines and their period: "multisine", or "spectral" as in
         the thesis. Of any disturbance with power at all frequencies of interest: "noise", "welch" or "multitaper". Of
@@ -188,6 +190,7 @@ def response(
     if is_one_axis(several[0].recording):
         require_one_of("response of one axis", "method", method, (None, "noise"))
         return one_axis_response(several, frequency=frequency, **options)
+    several = used_whole(several)
     method = "multisine" if method is None else method
     require_one_of("response", "method", method, list(METHODS))
     label = f"{named([trials.recording for trials in several])}, {method}"

@@ -28,12 +28,17 @@ from numpy.typing import NDArray
 
 from armperturb.analysis.response.frequency_response import FrequencyResponse, System
 from armperturb.analysis.response.joint_records import admittance_of, variance_of
+from armperturb.analysis.trials import TrialRecord
 from armperturb.arrays import Array, ComplexArray
 from armperturb.environment import Environment
 
 N_INPUTS = 2
 LARGEST_CONDITION = 1e6
 """Condition number above which the effects of two disturbances are not separately identifiable [-]."""
+
+
+STILL = 0.2, 1.0
+"""No disturbance acts for so long before and after what does not leak [s], and for the last quarter of a record."""
 
 
 class Window(NamedTuple):
@@ -44,12 +49,14 @@ class Window(NamedTuple):
       perturbation: D, over the square root of the number of samples, (line, axis).
       answer: F and X, likewise, (line, 4); of one axis, (line, 1) or (line, 2).
       excited: whether D is there, (line,).
+      leaks: whether an answer goes on after the record, or came before it.
     """
 
     frequency: Array
     perturbation: ComplexArray
     answer: ComplexArray
     excited: NDArray[np.bool_]
+    leaks: bool = True
 
     def within(self, low: float, high: float) -> "Window":
         """The lines from low to high [Hz]."""
@@ -57,7 +64,18 @@ class Window(NamedTuple):
 
     def only(self, chosen: NDArray[np.bool_]) -> "Window":
         """Some of the lines."""
-        return Window(self.frequency[chosen], self.perturbation[chosen], self.answer[chosen], self.excited[chosen])
+        of_lines = (self.frequency, self.perturbation, self.answer, self.excited)
+        return Window(*(values[chosen] for values in of_lines), leaks=self.leaks)
+
+
+def whole_window(record: TrialRecord) -> Window:
+    """DFT of a whole record, without the mean."""
+    n = len(record.perturbation)
+    d, z = (np.fft.rfft(values, axis=0)[1:] / np.sqrt(n) for values in (record.perturbation, record.response))
+    frequency = np.asarray(np.fft.rfftfreq(n, 1.0 / record.rate)[1:], dtype=float)
+    before, after = (round(seconds * record.rate) for seconds in STILL)
+    still = np.concatenate([record.perturbation[:before], record.perturbation[-max(after, n // 4) :]])
+    return Window(frequency, d, z, np.ones(len(d), dtype=bool), leaks=bool(np.ptp(still, axis=0).any()))
 
 
 class LocalFit(NamedTuple):

@@ -27,11 +27,10 @@ from armperturb.analysis.response.closed_loop import (
     excited_band,
     fit_near,
     lines_around,
-    whole_window,
 )
 from armperturb.analysis.response.frequency_response import FrequencyResponse, System, require_frequencies
 from armperturb.analysis.response.joint_records import admittance_of, resampled, variance_of
-from armperturb.analysis.response.local_polynomial import LocalFit, Window, fit_locally
+from armperturb.analysis.response.local_polynomial import LocalFit, Window, fit_locally, whole_window
 from armperturb.analysis.results import Description, Table, plain
 from armperturb.analysis.trials import ConditionTrials, SeveralTrials, TrialRecord, prepared_recordings
 from armperturb.arrays import Array, ComplexArray

@@ -8,6 +8,7 @@ from scipy import signal
 from scipy.interpolate import CubicSpline
 
 from armperturb.analysis.arm.geometry import hand_jacobian
+from armperturb.analysis.arm.linear_arm import arm_admittance
 from armperturb.analysis.arm.state_space import simulate_linear
 from armperturb.analysis.fit.group import parts_by_condition
 from armperturb.analysis.fit.identify import identify, identify_conditions
@@ -15,6 +16,7 @@ from armperturb.analysis.fit.own_structures import composed
 from armperturb.analysis.measures.endpoint import force_stiffness
 from armperturb.analysis.measures.start_geometry import in_start_geometry
 from armperturb.analysis.numerics.periodicity import find_period
+from armperturb.analysis.response.estimate import response
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.environment import Environment
 from armperturb.recording import make_recording
@@ -83,6 +85,42 @@ def test_a_constant_force_in_the_perturbation_hides_neither_period_nor_independe
     assert trials.is_perturbed(2.0)
     still = held.assign(perturbation=0.0 * held["perturbation"] + 5.0)
     assert not ConditionTrials.prepare(still, is_checked=True).is_perturbed(2.0)
+
+
+def pulsed_from_rest(onset, n=16, seconds=6.0, noise=0.2):
+    """Trials of a half-sine pulse each, in eight directions, of a person who sways a little."""
+    rng, time = np.random.default_rng(0), np.arange(round(seconds * RATE)) / RATE
+    lead, directions = round(4.0 * RATE), 45.0 * (np.arange(n) % 8)
+    pulse = 8.0 * np.sin(np.pi * (time - onset) / 0.1) * ((time >= onset) & (time < onset + 0.1))
+    towards = np.stack([np.cos(np.radians(directions)), np.sin(np.radians(directions))], axis=1)
+    d = pulse[None, :, None] * towards[:, None]
+    led = np.concatenate([np.zeros((n, lead, 2)), d], axis=1)
+    sway = signal.lfilter(*signal.butter(2, 3.0, fs=RATE), rng.standard_normal(led.shape), axis=1)
+    sway *= noise / sway.std()
+    response = simulate_linear(RELAXED, ENVIRONMENT, led + sway, RATE)
+    signals = {
+        "perturbation": d,
+        "force": (response.force - sway)[:, lead:] + 0.02 * rng.standard_normal(d.shape),
+        "displacement": response.displacement[:, lead:] + 1e-5 * rng.standard_normal(d.shape),
+    }
+    labels = {"subject": ["S"] * n, "task": ["RT"] * n, "condition": ["A"] * n, "repetition": [*range(n)]}
+    labels |= {"pulse_onset": [onset] * n, "pulse_level": [1.0] * n, "pulse_direction": directions}
+    labels |= {"limit_time": [np.nan] * n}
+    labels |= {name: [getattr(RELAXED, name)] * n for name in ("l_h", "l_f", "theta_s_deg", "theta_e_deg")}
+    return make_recording(signals, labels, RATE)
+
+
+@pytest.mark.slow(reason="tries structures")
+def test_pulses_alone_tell_of_the_arm():
+    recording = pulsed_from_rest(1.5)
+    fit = identify(recording).fit
+    assert any(remark.startswith("nothing but pulses perturbs") for remark in fit.remarks)
+    for name in ("k_s", "k_se", "k_e", "b_s", "b_e"):
+        assert abs(fit.values[name] - getattr(RELAXED, name)) < 3.0 * fit.standard_error[name], name
+    estimate = response(recording, "noise")
+    assert estimate.covers(arm_admittance(RELAXED, estimate.frequency)).mean() > 0.85
+    with pytest.raises(ValueError, match=r"pulse_onset of trial 0 of A is 0\.5 s.*at least 1 s before it"):
+        identify(pulsed_from_rest(0.5))
 
 
 def relabelled(signals, like, rate):
