@@ -103,7 +103,7 @@ def live_page(arms: Mapping[str, Subject]) -> str:
     folder, of_pages = (resources.files(package) / "templates" for package in (__package__, "armperturb.pages"))
     files = (
         *(of_pages / name for name in ("drawing.js", "playing.js")),
-        *(folder / name for name in ("live.css", "model.js", "live.js")),
+        *(folder / name for name in ("live.css", "eigenvalues.js", "model.js", "live.js")),
     )
     parts = {file.name.replace(".", "_"): Markup(file.read_text(encoding="utf-8")) for file in files}
     template = (folder / "live.html").read_text(encoding="utf-8")

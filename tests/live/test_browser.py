@@ -6,7 +6,7 @@ import pytest
 
 from armperturb.live.page import write_live
 from tests.browser import CHROMIUM, TOO_WIDE, Browser, barriers, complaints, requests
-from tests.live.arms import REVIVE, compared, require_agreement, values_of
+from tests.live.arms import REVIVE, compared, require_agreement, too_fast, values_of
 
 pytestmark = [
     pytest.mark.slow(reason="starts a browser"),
@@ -51,7 +51,7 @@ def page(tmp_path_factory):
 
 def test_has_the_numbers_of_python(browser, page):
     browser.show(page, 1280)
-    subjects = compared()
+    subjects = [*compared(), *too_fast()]
     given = json.dumps([values_of(subject) for subject in subjects])
     require_agreement(subjects, browser.evaluate(f"(() => {{ {REVIVE} return answers({given}); }})()"))
 
@@ -68,10 +68,25 @@ def test_slides_quickly_and_is_whole(browser, page, width):
     assert requests(browser) == []
 
 
-def test_links_carry_settings(browser, page):
+def set_up(browser, page, settings):
     browser.show(page, 1280)
-    browser.evaluate("location.hash = 'preset=linear+muscle%2C+relaxing&kind=multisine&mass=6'")
+    browser.evaluate(f"location.hash = '{settings}'")
     browser.evaluate("new Promise(resolve => setTimeout(resolve, 100))")
+
+
+@pytest.mark.parametrize("kind", ["pulse", "multisine"])
+def test_cuts_the_step_of_a_fast_arm_and_says_where_it_cannot(browser, page, kind):
+    said = "document.getElementById('numbers').textContent"
+    set_up(browser, page, f"kind={kind}&level=2&b=4")
+    assert "limit of the workspace" not in browser.evaluate(said)
+    set_up(browser, page, f"kind={kind}&preset=linear+muscle%2C+holding&level=4&b=4&elbow=20&mass=0.5")
+    assert "not computed: fastest pole of arm and load = 28587 1/s; expected at most 16000 1/s" in browser.evaluate(said)
+    assert "distance" not in browser.evaluate(said)
+    assert complaints(browser) == []
+
+
+def test_links_carry_settings(browser, page):
+    set_up(browser, page, "preset=linear+muscle%2C+relaxing&kind=multisine&mass=6")
     assert browser.evaluate("[Lab.state.preset, Lab.state.kind, Lab.armOf().m_env]") == [
         "linear muscle, relaxing",
         "multisine",
