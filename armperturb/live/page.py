@@ -13,10 +13,11 @@ from markupsafe import Markup
 
 from armperturb.cohort import average_person, draw_cohort
 from armperturb.controllers.lanes import elastic_limit_shape
-from armperturb.environment import Environment
+from armperturb.environment import TIMESTEP, Environment
 from armperturb.files import write_whole
 from armperturb.pages.page import versions
 from armperturb.perturbations.multisine import Multisine
+from armperturb.planar_arm.lanes import require_lane
 from armperturb.subject import POSITION, RELAX, Subject, at_level
 
 PEOPLE = 10
@@ -35,9 +36,9 @@ def arm_values(subject: Subject) -> dict[str, Any]:
     """What the JavaScript arm needs of a subject, by name; an infinite value is None.
 
     Raises:
-      ValueError: the arm has acceleration or force feedback, or what no simulation has.
+      ValueError: the arm has acceleration or force feedback, or what no simulation has, e.g. a delay below three steps.
     """
-    subject.require_simulable()
+    require_lane(subject, TIMESTEP)
     gains = [name for name in NO_FEEDBACK_OF if getattr(subject, name) != 0.0]
     if gains:
         raise ValueError(

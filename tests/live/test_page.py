@@ -68,6 +68,8 @@ def test_refuses_what_it_does_not_have():
         arm_values(replace(POSITION, kf_e=-0.2))
     with pytest.raises(ValueError, match="expected a finite grip stiffness"):
         arm_values(replace(POSITION, k_h=float("inf")))
+    with pytest.raises(ValueError, match=r"delay = 0\.002 s; expected at least three steps of 0\.0025 s"):
+        arm_values(replace(POSITION, Td_e=0.002))
 
 
 @pytest.mark.slow(reason="reads in child processes")
