@@ -1,10 +1,13 @@
 """The live laboratory as a browser runs it: the numbers of Python, quick, and without a network."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
-from armperturb.live.page import write_live
+from armperturb.cohort import average_person
+from armperturb.live.page import arm_values, write_live
+from armperturb.subject import at_level
 from tests.browser import CHROMIUM, TOO_WIDE, Browser, barriers, complaints, requests
 from tests.live.arms import REVIVE, compared, require_agreement, too_fast, values_of
 
@@ -17,6 +20,12 @@ pytestmark = [
 
 REDRAW = 50.0
 """Most time from a slider to curves [ms], the median of several."""
+
+PERSON = average_person().subjects["PT"]
+SLOPED = replace(
+    PERSON, muscle=replace(PERSON.muscle, spindle_threshold=0.1, spindle_threshold_slope=(-0.1, -0.2, 0.0))
+)
+"""A person whose active spindles respond earlier."""
 
 SLIDE = """
 (() => {
@@ -45,7 +54,7 @@ def browser(tmp_path_factory):
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
     path = tmp_path_factory.mktemp("live") / "live.html"
-    write_live(path)
+    write_live(path, {"sloped": SLOPED})
     return path
 
 
@@ -77,12 +86,22 @@ def set_up(browser, page, settings):
 @pytest.mark.parametrize("kind", ["pulse", "multisine"])
 def test_cuts_the_step_of_a_fast_arm_and_says_where_it_cannot(browser, page, kind):
     said = "document.getElementById('numbers').textContent"
-    set_up(browser, page, f"kind={kind}&level=2&b=4")
+    set_up(browser, page, f"kind={kind}&preset=average+person%2C+holding&level=2&b=4")
     assert "limit of the workspace" not in browser.evaluate(said)
     set_up(browser, page, f"kind={kind}&preset=linear+muscle%2C+holding&level=4&b=4&elbow=20&mass=0.5")
-    assert "not computed: fastest pole of arm and load = 28587 1/s; expected at most 16000 1/s" in browser.evaluate(said)
-    assert "distance" not in browser.evaluate(said)
+    text = browser.evaluate(said)
+    assert "not computed: fastest pole of arm and load = 28587 1/s; expected at most 16000 1/s" in text
+    assert "distance" not in text
     assert complaints(browser) == []
+
+
+def test_co_contraction_is_that_of_at_level(browser, page):
+    set_up(browser, page, "preset=sloped&level=2")
+    arm, expected = browser.evaluate("Lab.armOf()"), arm_values(at_level(SLOPED, 2.0))
+    for name in ("k_s", "b_se", "kv_e", "kp_s"):
+        assert arm[name] == pytest.approx(expected[name])
+    for name in ("short_range_stiffness", "spindle_threshold"):
+        assert arm["muscle"][name] == pytest.approx(expected["muscle"][name])
 
 
 def test_links_carry_settings(browser, page):

@@ -69,6 +69,7 @@ const Lab = (() => {
       const law = { ...arm.muscle };
       ["elastic_limit_deg", "loss_angle_deg", "recovery_time", "thinning_velocity", "spindle_saturation"].forEach(name => { law[name] = infinite(law[name]); });
       law.short_range_stiffness = law.short_range_stiffness.map(each => each * level * get("law"));
+      law.spindle_threshold = law.spindle_threshold.map((each, e) => each + law.spindle_threshold_slope[e] * (level - 1));
       law.elastic_limit_deg = law.elastic_limit_deg.map(each => each * get("limit"));
       law.thinning_velocity = law.thinning_velocity.map(each => each * get("thin"));
       arm.muscle = law;
