@@ -45,7 +45,7 @@ def spaces(settings: TaskSettings) -> tuple[Box, Box]:
 
 
 class KnownLength:
-    """An environment whose `spec` has the number of decisions in a trial, where no other limit was given."""
+    """An environment whose `spec` has the number of decisions in a trial, or a lower limit that was given."""
 
     settings: TaskSettings
     max_episode_steps: int | None = None
@@ -58,9 +58,10 @@ class KnownLength:
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
-        if spec is not None and spec.max_episode_steps is None:
-            length = self.max_episode_steps or round(self.settings.duration * self.settings.control_rate)
-            spec = replace(spec, max_episode_steps=length)
+        if spec is not None:
+            length = round(self.settings.duration * self.settings.control_rate)
+            given = spec.max_episode_steps or self.max_episode_steps or length
+            spec = replace(spec, max_episode_steps=min(given, length))
         self._spec = spec
 
 

@@ -171,6 +171,9 @@ def test_the_length_of_trials_is_known_at_any_duration(name):
     assert again.spec.max_episode_steps == 550
     assert gym.make(name, max_episode_steps=30).spec.max_episode_steps == 30
     assert gym.make_vec(name, num_envs=2, max_episode_steps=30).spec.max_episode_steps == 30
+    # A limit beyond the trial's end ends nothing.
+    assert gym.make_vec(name, num_envs=2, max_episode_steps=1000).spec.max_episode_steps == 500
+    assert gym.make(name, max_episode_steps=1000).unwrapped.spec.max_episode_steps == 500
 
 
 @pytest.mark.parametrize("duration", [0.1, 0.16, 1.0, 30.0])
