@@ -42,6 +42,9 @@ OPTIONS = ("perturbation", "rms", "peak", "directions_deg", "onset_window", "ran
 REALISATIONS = 8
 """Multisines of lowered crest factor among which trials choose; each begins anywhere in its period."""
 
+NOT_BY_LEVEL = tuple(f"{gain}_{joint}" for gain in ("ka", "kf") for joint in ("s", "se", "e"))
+"""Gains of a subject that levels do not set: a person relaxed would keep them."""
+
 LARGEST = 1e6
 """Of forces: what is larger is a slip, and numerics would suffer."""
 
@@ -186,6 +189,13 @@ class TaskSettings:
         subject.require_simulable()
         require_stable(subject, self.environment)
         require_integrable(subject, self.environment, None, self.timestep)
+        for name in NOT_BY_LEVEL if self.sets_levels else ():
+            if (value := getattr(subject, name)) != 0.0:
+                raise ValueError(
+                    f"TaskSettings: subject {subject.name!r} has {name} = {value:g}; expected 0 where the agent sets "
+                    "levels, which do not reach acceleration and force feedback (co_contraction = 'off' and reflexes = "
+                    "False set none)"
+                )
         if self.sets_levels and subject.task == "PT":
             try:
                 require_integrable(at_level(subject, self.highest_level), self.environment, None, self.timestep)
