@@ -216,7 +216,8 @@ class TaskSettings:
         """Earliest and latest onset of a pulse [s]."""
         if self.onset_window is not None:
             return self.onset_window
-        latest = min(0.5 * self.duration, self.duration - Pulse.width)
+        # Too short a trial has no pulse, which is refused elsewhere.
+        latest = max(min(0.5 * self.duration, self.duration - Pulse.width), 0.0)
         return min(0.1 * self.duration, latest), latest
 
     @property

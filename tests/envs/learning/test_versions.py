@@ -176,6 +176,14 @@ def test_the_length_of_trials_is_known_at_any_duration(name):
     assert gym.make(name, max_episode_steps=1000).unwrapped.spec.max_episode_steps == 500
 
 
+def test_a_trial_without_pulse_may_be_shorter_than_one():
+    env = gym.make(POSITION, duration=0.06)
+    env.reset(seed=0)
+    assert [env.step(env.unwrapped.own_action)[3] for _ in range(3)] == [False, False, True]
+    with pytest.raises(ValueError, match=r"duration with a pulse = 0\.06; expected a finite number above 0\.08"):
+        env.reset(options={"perturbation": "pulse"})
+
+
 @pytest.mark.parametrize("duration", [0.1, 0.16, 1.0, 30.0])
 def test_pulses_fit_into_trials_of_any_duration(duration):
     settings = gym.make(PULSE, duration=duration, noise=False).unwrapped.settings
