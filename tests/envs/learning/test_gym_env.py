@@ -488,6 +488,8 @@ BAD_SETTINGS = [
     ({"delay": 0.1}, TypeError, "unknown setting 'delay'; expected some of task, person"),
     ({"view": "side"}, ValueError, "view = 'side'; expected one of oblique, top"),
     ({"width": 0}, ValueError, "width = 0; expected a finite number at least 1"),
+    ({"width": 4000}, ValueError, "width = 4000; expected a finite number at least 1 and at most 1920"),
+    ({"height": 1441}, ValueError, "height = 1441; expected a finite number at least 1 and at most 1440"),
 ]
 
 
