@@ -16,7 +16,7 @@ from armperturb.envs.lab.trial import Trial, require_integrable
 from armperturb.perturbations import Multisine, MultisineThenPulse, Perturbation, Pulse, Sampled, check_bandwidth
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.subject import POSITION, RELAX, TASKS, Subject, at_level
-from armperturb.validation import require_number, require_one_of, require_ranges
+from armperturb.validation import require_number, require_one_of, require_ranges, require_type
 
 PERTURBATIONS = ("none", "multisine", "pulse", "multisine-pulse")
 """What may push the handle."""
@@ -150,6 +150,8 @@ class TaskSettings:
             if missing:
                 raise ValueError(f"{owner}: person {self.person.name!r} has no task {missing[0]}; expected both tasks")
         else:
+            expected = f"a Person, which has a Subject for each task, or one of {', '.join(PEOPLE)}"
+            require_type(f"{owner}: person", self.person, str, expected)
             require_one_of(owner, "person", self.person, PEOPLE)
         for name in ("randomise", "noise", "reflexes", "torque"):
             if not isinstance(getattr(self, name), bool):

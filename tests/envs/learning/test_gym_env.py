@@ -460,6 +460,7 @@ BAD_SETTINGS = [
     ({"visual_gain": -1.0}, ValueError, "visual_gain = -1.0"),
     ({"task": "XT"}, ValueError, "task = 'XT'; expected one of PT, RT"),
     ({"person": "nobody"}, ValueError, "person = 'nobody'; expected one of average, published"),
+    ({"person": PERSON.subjects["PT"]}, TypeError, r"person = Subject\(.*; expected a Person, which has a Subject for"),
     ({"perturbation": "noise"}, ValueError, "perturbation = 'noise'; expected one of none, multisine"),
     ({"control_rate": 30.0}, ValueError, "control_rate = 30 Hz; expected a whole number of steps"),
     ({"duration": 0.033}, ValueError, "duration = 0.033 s; expected a whole number of decisions"),
