@@ -13,10 +13,11 @@ from markupsafe import Markup
 
 from armperturb.cohort import average_person, draw_cohort
 from armperturb.controllers.lanes import elastic_limit_shape
-from armperturb.environment import Environment
+from armperturb.environment import TIMESTEP, Environment
 from armperturb.files import write_whole
 from armperturb.pages.page import versions
 from armperturb.perturbations.multisine import Multisine
+from armperturb.planar_arm.lanes import require_lane
 from armperturb.subject import POSITION, RELAX, Subject, at_level
 
 PEOPLE = 10
@@ -35,9 +36,9 @@ def arm_values(subject: Subject) -> dict[str, Any]:
     """What the JavaScript arm needs of a subject, by name; an infinite value is None.
 
     Raises:
-      ValueError: the arm has acceleration or force feedback, or what no simulation has.
+      ValueError: the arm has acceleration or force feedback, or what no simulation has, e.g. a delay below three steps.
     """
-    subject.require_simulable()
+    require_lane(subject, TIMESTEP)
     gains = [name for name in NO_FEEDBACK_OF if getattr(subject, name) != 0.0]
     if gains:
         raise ValueError(
@@ -103,7 +104,7 @@ def live_page(arms: Mapping[str, Subject]) -> str:
     folder, of_pages = (resources.files(package) / "templates" for package in (__package__, "armperturb.pages"))
     files = (
         *(of_pages / name for name in ("drawing.js", "playing.js")),
-        *(folder / name for name in ("live.css", "model.js", "live.js")),
+        *(folder / name for name in ("live.css", "eigenvalues.js", "model.js", "live.js")),
     )
     parts = {file.name.replace(".", "_"): Markup(file.read_text(encoding="utf-8")) for file in files}
     template = (folder / "live.html").read_text(encoding="utf-8")

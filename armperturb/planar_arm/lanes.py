@@ -50,6 +50,24 @@ def at_rest(lanes: Table, timestep: float) -> Start:
     return Start(np.zeros((n_lanes, 8)), control_memory(n_lanes, n_parts, history_of(lanes, timestep)))
 
 
+def require_lane(subject: Subject, timestep: float) -> None:
+    """Refuse an arm that no lane has.
+
+    Args:
+      subject: the arm.
+      timestep: of the simulation [s].
+
+    Raises:
+      ValueError: a delay is shorter than three steps, or the arm has what `Subject.require_simulable` refuses.
+    """
+    subject.require_simulable()
+    if min(subject.Td_s, subject.Td_e) < 3 * timestep * (1 - 1e-12):
+        raise ValueError(
+            f"subject {subject.name!r}: delay = {min(subject.Td_s, subject.Td_e):g} s; expected at least three "
+            f"steps of {timestep:g} s"
+        )
+
+
 def lane_table(subjects: Sequence[Subject], environments: Sequence[Environment], timestep: float) -> Table:
     """One row per subject and environment, (lane,); arguments and errors as in `lane_columns`."""
     return table_of(lane_columns(subjects, timestep, environments=environments))
@@ -72,12 +90,7 @@ def lane_columns(
       ValueError: a delay is shorter than three steps, or an arm has what `Subject.require_simulable` refuses.
     """
     for subject in subjects:
-        subject.require_simulable()
-        if min(subject.Td_s, subject.Td_e) < 3 * timestep * (1 - 1e-12):
-            raise ValueError(
-                f"subject {subject.name!r}: delay = {min(subject.Td_s, subject.Td_e):g} s; expected at least three "
-                f"steps of {timestep:g} s"
-            )
+        require_lane(subject, timestep)
     if len(environments) == 1:
         environments = [*environments] * len(subjects)
     # What an arm is comes first: rows that begin as those of `control_columns` would pass for them in compiled code.

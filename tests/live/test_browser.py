@@ -1,12 +1,15 @@
 """The live laboratory as a browser runs it: the numbers of Python, quick, and without a network."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
-from armperturb.live.page import write_live
+from armperturb.cohort import average_person
+from armperturb.live.page import arm_values, write_live
+from armperturb.subject import at_level
 from tests.browser import CHROMIUM, TOO_WIDE, Browser, barriers, complaints, requests
-from tests.live.arms import REVIVE, compared, require_agreement, values_of
+from tests.live.arms import REVIVE, compared, require_agreement, too_fast, values_of
 
 pytestmark = [
     pytest.mark.slow(reason="starts a browser"),
@@ -17,6 +20,12 @@ pytestmark = [
 
 REDRAW = 50.0
 """Most time from a slider to curves [ms], the median of several."""
+
+PERSON = average_person().subjects["PT"]
+SLOPED = replace(
+    PERSON, muscle=replace(PERSON.muscle, spindle_threshold=0.1, spindle_threshold_slope=(-0.1, -0.2, 0.0))
+)
+"""A person whose active spindles respond earlier."""
 
 SLIDE = """
 (() => {
@@ -45,13 +54,13 @@ def browser(tmp_path_factory):
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
     path = tmp_path_factory.mktemp("live") / "live.html"
-    write_live(path)
+    write_live(path, {"sloped": SLOPED})
     return path
 
 
 def test_has_the_numbers_of_python(browser, page):
     browser.show(page, 1280)
-    subjects = compared()
+    subjects = [*compared(), *too_fast()]
     given = json.dumps([values_of(subject) for subject in subjects])
     require_agreement(subjects, browser.evaluate(f"(() => {{ {REVIVE} return answers({given}); }})()"))
 
@@ -68,10 +77,35 @@ def test_slides_quickly_and_is_whole(browser, page, width):
     assert requests(browser) == []
 
 
-def test_links_carry_settings(browser, page):
+def set_up(browser, page, settings):
     browser.show(page, 1280)
-    browser.evaluate("location.hash = 'preset=linear+muscle%2C+relaxing&kind=multisine&mass=6'")
+    browser.evaluate(f"location.hash = '{settings}'")
     browser.evaluate("new Promise(resolve => setTimeout(resolve, 100))")
+
+
+@pytest.mark.parametrize("kind", ["pulse", "multisine"])
+def test_cuts_the_step_of_a_fast_arm_and_says_where_it_cannot(browser, page, kind):
+    said = "document.getElementById('numbers').textContent"
+    set_up(browser, page, f"kind={kind}&preset=average+person%2C+holding&level=2&b=4")
+    assert "limit of the workspace" not in browser.evaluate(said)
+    set_up(browser, page, f"kind={kind}&preset=linear+muscle%2C+holding&level=4&b=4&elbow=20&mass=0.5")
+    text = browser.evaluate(said)
+    assert "not computed: fastest pole of arm and load = 28587 1/s; expected at most 16000 1/s" in text
+    assert "distance" not in text
+    assert complaints(browser) == []
+
+
+def test_co_contraction_is_that_of_at_level(browser, page):
+    set_up(browser, page, "preset=sloped&level=2")
+    arm, expected = browser.evaluate("Lab.armOf()"), arm_values(at_level(SLOPED, 2.0))
+    for name in ("k_s", "b_se", "kv_e", "kp_s"):
+        assert arm[name] == pytest.approx(expected[name])
+    for name in ("short_range_stiffness", "spindle_threshold"):
+        assert arm["muscle"][name] == pytest.approx(expected["muscle"][name])
+
+
+def test_links_carry_settings(browser, page):
+    set_up(browser, page, "preset=linear+muscle%2C+relaxing&kind=multisine&mass=6")
     assert browser.evaluate("[Lab.state.preset, Lab.state.kind, Lab.armOf().m_env]") == [
         "linear muscle, relaxing",
         "multisine",

@@ -13,7 +13,7 @@ from armperturb.cli import main
 from armperturb.cohort import average_person
 from armperturb.live.page import PEOPLE, arm_values, live_page
 from armperturb.subject import POSITION, RELAX
-from tests.live.arms import REVIVE, compared, require_agreement, values_of
+from tests.live.arms import REVIVE, compared, require_agreement, too_fast, values_of
 
 MOST_BYTES = 300_000
 NODE = shutil.which("node")
@@ -53,9 +53,10 @@ def test_infinite_values_are_none():
 @pytest.mark.slow(reason="starts node")
 @pytest.mark.skipif(NODE is None, reason="no node on PATH: tests/live/test_browser.py compares in a browser")
 def test_javascript_has_the_admittance_poles_and_movements_of_python():
-    model = (resources.files("armperturb.live") / "templates" / "model.js").read_text(encoding="utf-8")
+    folder = resources.files("armperturb.live") / "templates"
+    model = "\n".join((folder / name).read_text(encoding="utf-8") for name in ("eigenvalues.js", "model.js"))
     ask = 'console.log(JSON.stringify(answers(JSON.parse(require("fs").readFileSync(0, "utf8")))))'
-    subjects = compared()
+    subjects = [*compared(), *too_fast()]
     given = json.dumps([values_of(subject) for subject in subjects])
     script = f"{model}\n{REVIVE}\n{ask}"
     said = subprocess.run([NODE, "-e", script], input=given, capture_output=True, text=True, check=True)
@@ -67,6 +68,8 @@ def test_refuses_what_it_does_not_have():
         arm_values(replace(POSITION, kf_e=-0.2))
     with pytest.raises(ValueError, match="expected a finite grip stiffness"):
         arm_values(replace(POSITION, k_h=float("inf")))
+    with pytest.raises(ValueError, match=r"delay = 0\.002 s; expected at least three steps of 0\.0025 s"):
+        arm_values(replace(POSITION, Td_e=0.002))
 
 
 @pytest.mark.slow(reason="reads in child processes")

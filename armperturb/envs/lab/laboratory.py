@@ -229,7 +229,13 @@ class Laboratory:
         if not perturbations:
             raise ValueError("Laboratory: perturbations is empty; expected at least one")
         instruments = replace(instruments, emg=None) if instruments is not None else None
-        setup = Setup(environment=self.environment, timestep=self.timestep, rate=rate, instruments=instruments)
+        setup = Setup(
+            environment=self.environment,
+            timestep=self.timestep,
+            rate=rate,
+            instruments=instruments,
+            owner="Laboratory",
+        )
         for perturbation in perturbations:
             check_bandwidth(perturbation, 1.0 / self.timestep)
             name = f"duration of a {type(perturbation).__name__}"

@@ -28,7 +28,7 @@ NOTHING = 1e-30
 
 @dataclass(frozen=True, kw_only=True)
 class Setup:
-    """The laboratory of an experiment; fields as the arguments of `run_experiment`.
+    """The laboratory of an experiment; fields as the arguments of `run_experiment`, and `owner`, whose they are.
 
     Raises:
       TypeError: a value has the wrong type.
@@ -43,9 +43,10 @@ class Setup:
     engine: str = "mujoco"
     linear: bool = False
     instruments: Instruments | None = None
+    owner: str = "run_experiment"
 
     def __post_init__(self) -> None:
-        owner = "run_experiment"
+        owner = self.owner
         require_type(f"{owner}: environment", self.environment, Environment, "Environment or None")
         require_type(f"{owner}: linear", self.linear, (bool, np.bool_), "True or False")
         require_type(f"{owner}: instruments", self.instruments, (Instruments, NoneType), "Instruments or None")

@@ -62,7 +62,12 @@ def record_agent(
     if instruments is not None and instruments.emg is not None:
         raise ValueError("record_agent: instruments have an EMG; expected Instruments(emg=None), as agents have none")
     setup = Setup(
-        environment=task.environment, timestep=task.timestep, rate=rate, engine=task.engine, instruments=instruments
+        environment=task.environment,
+        timestep=task.timestep,
+        rate=rate,
+        engine=task.engine,
+        instruments=instruments,
+        owner="record_agent",
     )
     subjects = [subject_in(trial, task.environment) for trial in trials]
     session = Session(task, len(trials))

@@ -19,11 +19,12 @@ from armperturb.envs.learning.session import Session
 from armperturb.envs.learning.state import Saved, Turn, Types, in_turn, require_open
 from armperturb.envs.learning.task import TaskSettings, task_settings
 from armperturb.envs.render.camera import TRAIL
+from armperturb.envs.render.clip import LARGEST
 from armperturb.envs.render.gl import has_display
 from armperturb.envs.render.live_view import LiveView, Moment
 from armperturb.envs.render.viewer import require_display
 from armperturb.subject import Subject
-from armperturb.validation import require_one_of, require_whole
+from armperturb.validation import require_number, require_one_of
 
 VIEWS = ("oblique", "top")
 """Cameras of the rig."""
@@ -45,7 +46,7 @@ def spaces(settings: TaskSettings) -> tuple[Box, Box]:
 
 
 class KnownLength:
-    """An environment whose `spec` has the number of decisions in a trial, where no other limit was given."""
+    """An environment whose `spec` has the number of decisions in a trial, or a lower limit that was given."""
 
     settings: TaskSettings
     max_episode_steps: int | None = None
@@ -58,9 +59,10 @@ class KnownLength:
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
-        if spec is not None and spec.max_episode_steps is None:
-            length = self.max_episode_steps or round(self.settings.duration * self.settings.control_rate)
-            spec = replace(spec, max_episode_steps=length)
+        if spec is not None:
+            length = round(self.settings.duration * self.settings.control_rate)
+            given = spec.max_episode_steps or self.max_episode_steps or length
+            spec = replace(spec, max_episode_steps=min(given, length))
         self._spec = spec
 
 
@@ -97,13 +99,13 @@ class ArmPerturbEnv(KnownLength, Saved, gym.Env):
         Args:
           render_mode: "rgb_array" for pictures, "human" for a window, None for neither.
           view: of pictures, "oblique" or "top".
-          width: of pictures [pixel].
-          height: of pictures [pixel].
+          width: of pictures [pixel], up to 1920.
+          height: of pictures [pixel], up to 1440.
           **settings: of `TaskSettings`.
 
         Raises:
           TypeError: a setting is unknown or has the wrong type.
-          ValueError: a setting is out of its range, or render_mode or view unknown.
+          ValueError: a setting or the picture's size is out of its range, or render_mode or view unknown.
           RuntimeError: render_mode is "human", and there is no display.
         """
         self.settings = task_settings(settings)
@@ -243,9 +245,9 @@ def checked_picture(view: str, width: int, height: int) -> tuple[str, int, int]:
 
     Raises:
       TypeError: width or height is no whole number.
-      ValueError: the view is unknown, or width or height is below 1.
+      ValueError: the view is unknown, or width or height is below 1 or above `LARGEST`.
     """
     require_one_of("render", "view", view, VIEWS)
-    for name, value in (("width", width), ("height", height)):
-        require_whole("render", name, value, at_least=1)
+    for name, value, largest in zip(("width", "height"), (width, height), LARGEST, strict=True):
+        require_number("render", name, value, at_least=1, at_most=largest, whole=True)
     return view, int(width), int(height)

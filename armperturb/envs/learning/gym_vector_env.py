@@ -66,8 +66,8 @@ class ArmPerturbVectorEnv(KnownLength, Saved, VectorEnv):
           num_envs: number of people.
           render_mode: "rgb_array" or None.
           view: of pictures, "oblique" or "top".
-          width: of pictures [pixel].
-          height: of pictures [pixel].
+          width: of pictures [pixel], up to 1920.
+          height: of pictures [pixel], up to 1440.
           autoreset_mode: when the next trial begins after one that is over: "NextStep", "SameStep", or "Disabled".
           max_episode_steps: decisions after which a trial is truncated, if it is not over before.
           n_threads: of the simulation; 0 takes all cores.

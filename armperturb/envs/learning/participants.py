@@ -356,6 +356,9 @@ class Participants:
         torque = np.square(self._command / settings.highest_torque).mean(axis=1)
         squares = level[:, 0], level[:, 1:].mean(axis=1), torque
         truncated = self.step >= self.n_steps
+        self._square += square
+        mean = self._square * self._every / self.step
+        self._success = (settings.displacement_weight * mean <= TOLERANCE**2) & ~terminated
         if settings.reward == "cost":
             efforts = [weight * mean for weight, mean in zip(weights, squares, strict=True)]
             rewards = -settings.displacement_weight * square - (efforts[0] + efforts[1] + efforts[2])
@@ -366,22 +369,18 @@ class Participants:
         terms = [1.0 / (1.0 + settings.displacement_weight * square)]
         terms += [weight * share for weight, share in zip(weights, spared, strict=True)]
         self._terms = np.where(terminated[:, None], 0.0, np.stack(terms, axis=1) / (1.0 + sum(weights)))
-        self._square += square
-        mean = self._square * self._every / self.step
-        self._success = (settings.displacement_weight * mean <= TOLERANCE**2) & ~terminated
         return self._terms.sum(axis=1), terminated, truncated
 
     def verdict(self) -> dict[str, NDArray]:
-        """What the last decision's bounded reward is the sum of, and whether the trial is a success so far, (person,).
+        """Whether the trial is a success so far, and what the last decision's bounded reward is the sum of, (person,).
 
         With w the weights over 1 plus the sum of the weights of effort, the terms are w / (1 + displacement_weight
         |x|^2), and for co-contraction, reflexes and torque w (1 - mean square of what was set over the most that can be
         set). A success is a trial up to now in which the root-mean-square displacement is at most `TOLERANCE` over the
         root of displacement_weight.
         """
-        if self.settings.reward == "cost":
-            return {}
-        return dict(zip(TERMS, self._terms.T.copy(), strict=True)) | {"success": self._success.copy()}
+        terms = {} if self.settings.reward == "cost" else dict(zip(TERMS, self._terms.T.copy(), strict=True))
+        return terms | {"success": self._success.copy()}
 
     def perturbation(self) -> Array:
         """Disturbance at this moment [N], (person, axis)."""

@@ -16,7 +16,7 @@ from armperturb.envs.lab.trial import Trial, require_integrable
 from armperturb.perturbations import Multisine, MultisineThenPulse, Perturbation, Pulse, Sampled, check_bandwidth
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.subject import POSITION, RELAX, TASKS, Subject, at_level
-from armperturb.validation import require_number, require_one_of, require_ranges
+from armperturb.validation import require_number, require_one_of, require_ranges, require_type
 
 PERTURBATIONS = ("none", "multisine", "pulse", "multisine-pulse")
 """What may push the handle."""
@@ -41,6 +41,9 @@ OPTIONS = ("perturbation", "rms", "peak", "directions_deg", "onset_window", "ran
 
 REALISATIONS = 8
 """Multisines of lowered crest factor among which trials choose; each begins anywhere in its period."""
+
+NOT_BY_LEVEL = tuple(f"{gain}_{joint}" for gain in ("ka", "kf") for joint in ("s", "se", "e"))
+"""Gains of a subject that levels do not set: a person relaxed would keep them."""
 
 LARGEST = 1e6
 """Of forces: what is larger is a slip, and numerics would suffer."""
@@ -147,6 +150,8 @@ class TaskSettings:
             if missing:
                 raise ValueError(f"{owner}: person {self.person.name!r} has no task {missing[0]}; expected both tasks")
         else:
+            expected = f"a Person, which has a Subject for each task, or one of {', '.join(PEOPLE)}"
+            require_type(f"{owner}: person", self.person, str, expected)
             require_one_of(owner, "person", self.person, PEOPLE)
         for name in ("randomise", "noise", "reflexes", "torque"):
             if not isinstance(getattr(self, name), bool):
@@ -186,6 +191,13 @@ class TaskSettings:
         subject.require_simulable()
         require_stable(subject, self.environment)
         require_integrable(subject, self.environment, None, self.timestep)
+        for name in NOT_BY_LEVEL if self.sets_levels else ():
+            if (value := getattr(subject, name)) != 0.0:
+                raise ValueError(
+                    f"TaskSettings: subject {subject.name!r} has {name} = {value:g}; expected 0 where the agent sets "
+                    "levels, which do not reach acceleration and force feedback (co_contraction = 'off' and reflexes = "
+                    "False set none)"
+                )
         if self.sets_levels and subject.task == "PT":
             try:
                 require_integrable(at_level(subject, self.highest_level), self.environment, None, self.timestep)
@@ -206,7 +218,8 @@ class TaskSettings:
         """Earliest and latest onset of a pulse [s]."""
         if self.onset_window is not None:
             return self.onset_window
-        latest = min(0.5 * self.duration, self.duration - Pulse.width)
+        # Too short a trial has no pulse, which is refused elsewhere.
+        latest = max(min(0.5 * self.duration, self.duration - Pulse.width), 0.0)
         return min(0.1 * self.duration, latest), latest
 
     @property

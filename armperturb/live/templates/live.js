@@ -3,7 +3,9 @@ const Lab = (() => {
   const { BLUE, RED, GREY } = Drawing.COLOURS, { plain, plot } = Drawing;
   const MIN_FREQUENCY = 0.15, MAX_FREQUENCY = 45, DURATION = { pulse: 1.2, multisine: 8 }, ONSET = 0.1;
   const frequencies = Array.from({ length: 120 }, (_, i) => MIN_FREQUENCY * (MAX_FREQUENCY / MIN_FREQUENCY) ** (i / 119));
-  const unit = ArmModel.multisine(data.multisine.frequencies, data.multisine.amplitudes, data.multisine.phases, DURATION.multisine);
+  // The multisine of 1 N at each step that it was wanted for [s].
+  const units = {}, { frequencies: tones, amplitudes, phases } = data.multisine;
+  const unit = timestep => (units[timestep] ??= ArmModel.multisine(tones, amplitudes, phases, DURATION.multisine, timestep));
   const at = id => document.getElementById(id);
 
   // Name, label, unit, least, most, whether logarithmic; `of` gives the chosen person's value, else 1 is a factor.
@@ -67,6 +69,7 @@ const Lab = (() => {
       const law = { ...arm.muscle };
       ["elastic_limit_deg", "loss_angle_deg", "recovery_time", "thinning_velocity", "spindle_saturation"].forEach(name => { law[name] = infinite(law[name]); });
       law.short_range_stiffness = law.short_range_stiffness.map(each => each * level * get("law"));
+      law.spindle_threshold = law.spindle_threshold.map((each, e) => each + law.spindle_threshold_slope[e] * (level - 1));
       law.elastic_limit_deg = law.elastic_limit_deg.map(each => each * get("limit"));
       law.thinning_velocity = law.thinning_velocity.map(each => each * get("thin"));
       arm.muscle = law;
@@ -79,11 +82,12 @@ const Lab = (() => {
   }
   const chosen = () => armOf(name => standard(ALL.find(slider => slider.name === name)));
 
-  function forceOf(get) {
-    if (state.kind === "pulse") return ArmModel.pulse(get("peak"), get("direction"), ONSET, DURATION.pulse);
+  // From a step [s] to the force at it.
+  const forceOf = get => timestep => {
+    if (state.kind === "pulse") return ArmModel.pulse(get("peak"), get("direction"), ONSET, DURATION.pulse, timestep);
     const rms = get("rms");
-    return unit.map(each => each * rms);
-  }
+    return unit(timestep).map(each => each * rms);
+  };
 
   // What moves now, and what the person as chosen would do under the same force, which is kept.
   let movement = null, reference = null, cursor = 0;
@@ -131,6 +135,16 @@ const Lab = (() => {
     });
   }
 
+  // What is said of a movement that ends early.
+  const ENDS = {
+    limit: () => ["handle", "reaches the limit of the workspace", true],
+    diverged: () => ["movement", `cannot be computed: it grows beyond all bounds in steps of ${plain(1e3 * ArmModel.TIMESTEP / ArmModel.MOST_PARTS)} ms (expected less force, or weaker feedback)`, true],
+    fast: arm => {
+      const most = ArmModel.RK4_LIMIT * ArmModel.MOST_PARTS / ArmModel.TIMESTEP;
+      return ["movement", `not computed: fastest pole of arm and load = ${plain(ArmModel.fastestPole(arm))} 1/s; expected at most ${plain(most)} 1/s (less damping or stiffness, or more mass)`, true];
+    },
+  };
+
   function tell(curves) {
     const arm = movement.arm, pole = ArmModel.largestRealPole(arm), log = movement.log;
     const distance = log.x.map((x, i) => 100 * Math.hypot(x, log.y[i]));
@@ -139,8 +153,8 @@ const Lab = (() => {
     const rows = [
       ["gain at 0.15 Hz, x and y", `${plain(low[0])} and ${plain(low[1])} mm/N`],
       ["stability margin", pole < 0 ? `${plain(-pole)} 1/s` : `unstable, ${plain(pole)} 1/s`, pole >= 0],
-      ...(log.whole ? [] : [["handle", "reaches the limit of the workspace", true]]),
-      state.kind === "pulse" ? ["largest distance", `${plain(Math.max(...distance))} cm`] : ["RMS displacement per axis", `${plain(1e3 * rms)} mm`],
+      ...(log.ended ? [ENDS[log.ended](arm)] : []),
+      ...(log.ended === "fast" || log.ended === "diverged" ? [] : [state.kind === "pulse" ? ["largest distance", `${plain(Math.max(...distance))} cm`] : ["RMS displacement per axis", `${plain(1e3 * rms)} mm`]]),
     ];
     at("numbers").replaceChildren(...rows.flatMap(([name, text, bad]) => {
       const [dt, dd] = [document.createElement("dt"), document.createElement("dd")];
@@ -189,13 +203,17 @@ const Lab = (() => {
 
   function redraw() {
     const began = performance.now();
-    const simulated = (arm, force) => ({ arm, force, forceAt: index => [force[4 * index], force[4 * index + 1]], log: ArmModel.simulate(arm, force), largest: force.reduce((most, _, i) => (i % 2 ? most : Math.max(most, Math.hypot(force[i], force[i + 1]))), 1e-9) });
-    const force = forceOf(value), changed = Object.keys(state.values).length > 0;
-    movement = simulated(armOf(value), force);
+    const moved = arm => {
+      const { force, parts, log } = ArmModel.move(arm, forceOf(value));
+      const largest = force.reduce((most, _, i) => (i % 2 ? most : Math.max(most, Math.hypot(force[i], force[i + 1]))), 1e-9);
+      return { arm, log, largest, forceAt: index => [force[4 * parts * index], force[4 * parts * index + 1]] };
+    };
+    const changed = Object.keys(state.values).length > 0;
+    movement = moved(armOf(value));
     const key = [state.preset, state.kind, ...["peak", "direction", "rms"].map(value)].join(" ");
     if (kept.key !== key) {
       const arm = chosen();
-      Object.assign(kept, { key, movement: simulated(arm, force), curves: ArmModel.bode({ ...arm, muscle: null }, frequencies) });
+      Object.assign(kept, { key, movement: moved(arm), curves: ArmModel.bode({ ...arm, muscle: null }, frequencies) });
     }
     reference = changed ? kept.movement : movement;
     showSettings();
@@ -215,7 +233,7 @@ const Lab = (() => {
   const show = index => { cursor = index; drawArm(index); };
   const player = playing({ button: at("play"), speed: at("speed"), log: () => movement.log, show, pause: 200, stopped: redraw });
 
-  const api = { state, redraw, armOf: () => armOf(value), forceOf: () => forceOf(value), took: 0 };
+  const api = { state, redraw, armOf: () => armOf(value), took: 0 };
 
   Object.keys(data.presets).forEach(name => at("preset").append(new Option(name, name)));
   Object.entries(SLIDERS).forEach(([title, sliders]) => {

@@ -1,9 +1,12 @@
 "use strict";
 // The arm of `analysis.arm.linear_arm` (closed form) and of `planar_arm` (simulation); units and symbols are theirs.
 // An arm is the fields of `Subject` and `Environment` by name; `muscle` has those of `MuscleLaw`, three values each, and
-// `shape`, the elastic limits of the parts over their mean, (element, part).
+// `shape`, the elastic limits of the parts over their mean, (element, part). Needs `eigenvalues`.
 const ArmModel = (() => {
-  const TIMESTEP = 2.5e-3;  // [s]
+  // Of the samples of a movement, and its longest step [s]; into how many parts that is cut at most.
+  const TIMESTEP = 2.5e-3, MOST_PARTS = 16;
+  const RK4_LIMIT = 2.5;  // of the product of a pole's modulus and the step, as of `envs.lab.trial`
+  const LEAP = 10;  // over the workspace limit, which within a step only an arm that diverges gets to
   const RADIAN = Math.PI / 180;
 
   const triple = (arm, name) => ["s", "se", "e"].map(place => arm[`${name}_${place}`]);
@@ -151,97 +154,6 @@ const ArmModel = (() => {
     return a;
   }
 
-  // Eigenvalues of a real matrix, [real, imaginary] each: balanced, brought to Hessenberg form, then by the QR algorithm
-  // with Wilkinson's shifts in complex numbers.
-  function eigenvalues(matrix) {
-    const n = matrix.length, a = matrix.map(row => [...row]);
-    for (let changed = true; changed;) {
-      changed = false;
-      for (let i = 0; i < n; i += 1) {
-        let row = 0, column = 0;
-        for (let j = 0; j < n; j += 1) if (j !== i) { row += Math.abs(a[i][j]); column += Math.abs(a[j][i]); }
-        if (!row || !column) continue;
-        const factor = 2 ** Math.round(0.5 * Math.log2(row / column));
-        if (factor === 1) continue;
-        changed = true;
-        for (let j = 0; j < n; j += 1) { a[i][j] /= factor; }
-        for (let j = 0; j < n; j += 1) { a[j][i] *= factor; }
-      }
-    }
-    for (let k = 1; k < n - 1; k += 1) {
-      let pivot = k;
-      for (let i = k + 1; i < n; i += 1) if (Math.abs(a[i][k - 1]) > Math.abs(a[pivot][k - 1])) pivot = i;
-      if (a[pivot][k - 1] === 0) continue;
-      [a[k], a[pivot]] = [a[pivot], a[k]];
-      for (const row of a) [row[k], row[pivot]] = [row[pivot], row[k]];
-      for (let i = k + 1; i < n; i += 1) {
-        const share = a[i][k - 1] / a[k][k - 1];
-        if (share === 0) continue;
-        for (let j = k - 1; j < n; j += 1) a[i][j] -= share * a[k][j];
-        for (const row of a) row[k] += share * row[i];
-      }
-    }
-    const re = a.map((row, i) => row.map((value, j) => (i > j + 1 ? 0 : value)));
-    const im = a.map(row => row.map(() => 0));
-    const root = (x, y) => {
-      const size = Math.hypot(x, y), r = Math.sqrt(0.5 * (size + Math.abs(x)));
-      if (r === 0) return [0, 0];
-      return x >= 0 ? [r, y / (2 * r)] : [Math.abs(y) / (2 * r), y < 0 ? -r : r];
-    };
-    const found = [];
-    let last = n - 1, tries = 0;
-    while (last >= 0) {
-      let low = last;
-      while (low > 0) {
-        const near = Math.hypot(re[low][low], im[low][low]) + Math.hypot(re[low - 1][low - 1], im[low - 1][low - 1]);
-        if (Math.hypot(re[low][low - 1], im[low][low - 1]) < 1e-15 * (near || 1)) break;
-        low -= 1;
-      }
-      if (low === last) {
-        found.push([re[last][last], im[last][last]]);
-        last -= 1;
-        tries = 0;
-        continue;
-      }
-      tries += 1;
-      if (tries > 60) return null;
-      // The eigenvalue of the last two rows that is nearer to the last entry.
-      const [ar, ai, dr, di] = [re[last - 1][last - 1], im[last - 1][last - 1], re[last][last], im[last][last]];
-      const [br, bi, cr, ci] = [re[last - 1][last], im[last - 1][last], re[last][last - 1], im[last][last - 1]];
-      const hr = 0.5 * (ar - dr), hi = 0.5 * (ai - di);
-      let [sr, si] = root(hr * hr - hi * hi + br * cr - bi * ci, 2 * hr * hi + br * ci + bi * cr);
-      if (hr * sr + hi * si > 0) [sr, si] = [-sr, -si];
-      let shiftR = dr + hr + sr, shiftI = di + hi + si;
-      if (tries % 11 === 10) shiftR += Math.hypot(cr, ci);
-      for (let i = low; i <= last; i += 1) { re[i][i] -= shiftR; im[i][i] -= shiftI; }
-      const turns = [];
-      for (let k = low; k < last; k += 1) {
-        const [xr, xi, yr, yi] = [re[k][k], im[k][k], re[k + 1][k], im[k + 1][k]];
-        const size = Math.hypot(xr, xi, yr, yi) || 1, c = [xr / size, xi / size], s = [yr / size, yi / size];
-        turns.push([c, s]);
-        for (let j = k; j <= last; j += 1) {
-          const [ur, ui, vr, vi] = [re[k][j], im[k][j], re[k + 1][j], im[k + 1][j]];
-          re[k][j] = c[0] * ur + c[1] * ui + s[0] * vr + s[1] * vi;
-          im[k][j] = c[0] * ui - c[1] * ur + s[0] * vi - s[1] * vr;
-          re[k + 1][j] = c[0] * vr - c[1] * vi - s[0] * ur + s[1] * ui;
-          im[k + 1][j] = c[0] * vi + c[1] * vr - s[0] * ui - s[1] * ur;
-        }
-      }
-      turns.forEach(([c, s], number) => {
-        const k = low + number;
-        for (let i = low; i <= Math.min(k + 1, last); i += 1) {
-          const [ur, ui, vr, vi] = [re[i][k], im[i][k], re[i][k + 1], im[i][k + 1]];
-          re[i][k] = ur * c[0] - ui * c[1] + vr * s[0] - vi * s[1];
-          im[i][k] = ur * c[1] + ui * c[0] + vr * s[1] + vi * s[0];
-          re[i][k + 1] = vr * c[0] + vi * c[1] - ur * s[0] - ui * s[1];
-          im[i][k + 1] = vi * c[0] - vr * c[1] - ui * s[0] + ur * s[1];
-        }
-      });
-      for (let i = low; i <= last; i += 1) { re[i][i] += shiftR; im[i][i] += shiftI; }
-    }
-    return found;
-  }
-
   // Linear arms between which a nonlinear one works: large movements, which have yielded, and small ones.
   function linearArms(arm) {
     if (!arm.muscle) return [arm];
@@ -257,6 +169,18 @@ const ArmModel = (() => {
       const poles = eigenvalues(dynamics(each));
       return poles ? Math.max(...poles.map(pole => pole[0])) : NaN;
     }));
+  }
+
+  // Largest modulus of the poles of arm and load without reflexes [1/s].
+  function fastestPole(arm) {
+    const still = Object.fromEntries(["kv", "kp"].flatMap(gain => ["s", "se", "e"].map(place => [`${gain}_${place}`, 0])));
+    return Math.max(...linearArms(arm).flatMap(each => (eigenvalues(dynamics({ ...each, ...still })) || [[NaN, NaN]]).map(pole => Math.hypot(...pole))));
+  }
+
+  // Parts into which `TIMESTEP` is cut, a power of two: so that Runge-Kutta 4 is stable, and delays are three steps at least.
+  function partsOf(arm) {
+    const needed = Math.max(1, fastestPole(arm) * TIMESTEP / RK4_LIMIT, 3 * TIMESTEP / Math.min(arm.Td_s, arm.Td_e));
+    return 2 ** Math.ceil(Math.log2(needed) - 1e-9);
   }
 
   // Numerator and denominator of the activation dynamics in discrete time (`controllers.lanes.activation_filter`).
@@ -289,10 +213,11 @@ const ArmModel = (() => {
   // `controllers.compiled.act` has them.
   //
   // force: [N] at the start and middle of each step, x and y in turn, 2 (2 n + 1) numbers.
-  // Returns x, y [m], shoulder and elbow angle [rad], force on the hand [N], n + 1 each; fewer where the handle leaves
-  // the workspace.
+  // timestep: `TIMESTEP`, or a whole part of it.
+  // Returns x, y [m], shoulder and elbow angle [rad], force on the hand [N], each `TIMESTEP`, fewer where the movement
+  // ends early; `ended` says why it does: at the "limit" of the workspace, or because it "diverged"; "" if it does not.
   function simulate(arm, force, timestep = TIMESTEP) {
-    const n = (force.length / 2 - 1) / 2;
+    const n = (force.length / 2 - 1) / 2, every = Math.round(TIMESTEP / timestep), workspace = arm.workspace || 0.35;
     const b = triple(arm, "b"), k = triple(arm, "k"), kv = triple(arm, "kv"), kp = triple(arm, "kp");
     const law = arm.muscle, shortRange = law ? law.short_range_stiffness : [0, 0, 0];
     const spring = [k[0] + shortRange[0] + shortRange[1], k[1] + shortRange[1], k[2] + shortRange[2] + shortRange[1]];
@@ -394,15 +319,17 @@ const ArmModel = (() => {
       }
     }
 
-    const log = { x: [0], y: [0], shoulder: [upper0], elbow: [lower0 - upper0], fx: [0], fy: [0], timestep };
+    const log = { x: [0], y: [0], shoulder: [upper0], elbow: [lower0 - upper0], fx: [0], fy: [0], timestep: TIMESTEP, ended: "" };
     let z = new Array(8).fill(0);
     const k1 = new Array(8), k2 = new Array(8), k3 = new Array(8), k4 = new Array(8), there = new Array(8), grip = [0, 0];
     const half = 0.5 * timestep;
     for (let step = 0; step < n; step += 1) {
       act(z, step);
       slope(z, 0, step, k1, grip);
-      log.fx[step] = grip[0];
-      log.fy[step] = grip[1];
+      if (step % every === 0) {
+        log.fx[step / every] = grip[0];
+        log.fy[step / every] = grip[1];
+      }
       for (let i = 0; i < 8; i += 1) there[i] = z[i] + half * k1[i];
       slope(there, 1, step, k2);
       for (let i = 0; i < 8; i += 1) there[i] = z[i] + half * k2[i];
@@ -410,7 +337,12 @@ const ArmModel = (() => {
       for (let i = 0; i < 8; i += 1) there[i] = z[i] + timestep * k3[i];
       slope(there, 2, step, k4);
       z = z.map((value, i) => value + timestep / 6 * (k1[i] + 2 * k2[i] + 2 * k3[i] + k4[i]));
-      if (!(Math.max(Math.abs(z[2]), Math.abs(z[3])) < (arm.workspace || 0.35))) break;
+      const farthest = Math.max(Math.abs(z[2]), Math.abs(z[3]));
+      if (!(farthest < workspace)) {
+        log.ended = farthest < LEAP * workspace ? "limit" : "diverged";
+        break;
+      }
+      if ((step + 1) % every) continue;
       log.x.push(z[2]);
       log.y.push(z[3]);
       log.shoulder.push(upper0 + z[0]);
@@ -418,12 +350,25 @@ const ArmModel = (() => {
       log.fx.push(grip[0]);
       log.fy.push(grip[1]);
     }
-    log.whole = log.x.length === n + 1;
     return log;
   }
 
+  // Movement under a force at the longest step that can integrate it.
+  //
+  // forceAt: from a step [s] to the force as `simulate` wants it.
+  // Returns the arm, what `simulate` does as `log`, the force, and `parts` of `TIMESTEP` in a step. An arm that is too
+  // fast for `MOST_PARTS` rests in a log that `ended` as "fast".
+  function move(arm, forceAt) {
+    let parts = partsOf(arm);
+    if (!(parts <= MOST_PARTS)) return { arm, parts: 1, force: new Float64Array(2), log: { ...simulate(arm, new Float64Array(2)), ended: "fast" } };
+    for (;; parts *= 2) {
+      const force = forceAt(TIMESTEP / parts), log = simulate(arm, force, TIMESTEP / parts);
+      if (log.ended !== "diverged" || 2 * parts > MOST_PARTS) return { arm, parts, force, log };
+    }
+  }
+
   // Half a sine of a peak [N] in a direction [degree], from an onset on [s], as `simulate` wants it.
-  function pulse(peak, directionDeg, onset, duration, width = 0.08, timestep = TIMESTEP) {
+  function pulse(peak, directionDeg, onset, duration, timestep = TIMESTEP, width = 0.08) {
     const n = Math.round(duration / timestep), force = new Float64Array(2 * (2 * n + 1));
     for (let half = 0; half <= 2 * n; half += 1) {
       const since = 0.5 * half * timestep - onset;
@@ -450,5 +395,5 @@ const ArmModel = (() => {
     return force;
   }
 
-  return { TIMESTEP, admittance, bode, dynamics, eigenvalues, largestRealPole, linearArms, simulate, pulse, multisine };
+  return { TIMESTEP, MOST_PARTS, RK4_LIMIT, admittance, bode, dynamics, fastestPole, largestRealPole, linearArms, move, pulse, multisine };
 })();

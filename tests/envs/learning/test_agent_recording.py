@@ -48,7 +48,7 @@ def test_it_tells_when_the_handle_reached_the_limit():
         (NAME, [trial(0.6), trial(0.8)], {}, "trials of 0.6 to 0.8 s; expected one duration"),
         (NAME, [trial()], {"instruments": ap.Instruments()}, r"expected Instruments\(emg=None\)"),
         ("ArmPerturb/Relax-v1", [trial()], {}, "trial has the task PT; expected RT"),
-        (NAME, [trial()], {"rate": 300.0}, "rate = 300.0 Hz; expected"),
+        (NAME, [trial()], {"rate": 300.0}, "^record_agent: rate = 300.0 Hz; expected the simulation's 400 Hz over"),
     ],
 )
 def test_what_cannot_be_recorded_is_refused(name, trials, more, message):

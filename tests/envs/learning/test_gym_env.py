@@ -450,6 +450,9 @@ def test_several_forces_are_drawn_from():
     assert max(multisine.crest_factor().max() for multisine in drawn) < 1.9
 
 
+FEELING = replace(PERSON, subjects={**PERSON.subjects, "PT": replace(PERSON.subjects["PT"], ka_s=0.5, kf_e=-0.3)})
+"""A person with feedback that no level sets."""
+
 BAD_SETTINGS = [
     ({"visual_delay": -0.1}, ValueError, "visual_delay = -0.1; expected a finite number at least 0"),
     ({"proprioceptive_delay": -1e-3}, ValueError, "proprioceptive_delay = -0.001"),
@@ -457,6 +460,7 @@ BAD_SETTINGS = [
     ({"visual_gain": -1.0}, ValueError, "visual_gain = -1.0"),
     ({"task": "XT"}, ValueError, "task = 'XT'; expected one of PT, RT"),
     ({"person": "nobody"}, ValueError, "person = 'nobody'; expected one of average, published"),
+    ({"person": PERSON.subjects["PT"]}, TypeError, r"person = Subject\(.*; expected a Person, which has a Subject for"),
     ({"perturbation": "noise"}, ValueError, "perturbation = 'noise'; expected one of none, multisine"),
     ({"control_rate": 30.0}, ValueError, "control_rate = 30 Hz; expected a whole number of steps"),
     ({"duration": 0.033}, ValueError, "duration = 0.033 s; expected a whole number of decisions"),
@@ -469,6 +473,8 @@ BAD_SETTINGS = [
     ({"perturbation": "pulse", "onset_window": (1.0, 9.99)}, ValueError, "latest onset of onset_window = 9.99"),
     ({"onset_window": (2.0, 1.0)}, ValueError, "expected the earliest onset first"),
     ({"person": "published"}, ValueError, "expected 'common' or 'off', as a muscle group of subject 'position'"),
+    ({"person": FEELING}, ValueError, "subject 'S01' has ka_s = 0.5; expected 0 where the agent sets levels"),
+    ({"person": FEELING, "co_contraction": "off"}, ValueError, "ka_s = 0.5; expected 0 where the agent sets levels"),
     (
         {"highest_level": 40.0},
         ValueError,
@@ -483,15 +489,23 @@ BAD_SETTINGS = [
     ({"delay": 0.1}, TypeError, "unknown setting 'delay'; expected some of task, person"),
     ({"view": "side"}, ValueError, "view = 'side'; expected one of oblique, top"),
     ({"width": 0}, ValueError, "width = 0; expected a finite number at least 1"),
+    ({"width": 4000}, ValueError, "width = 4000; expected a finite number at least 1 and at most 1920"),
+    ({"height": 1441}, ValueError, "height = 1441; expected a finite number at least 1 and at most 1440"),
 ]
 
 
-@pytest.mark.parametrize(("settings", "error", "message"), BAD_SETTINGS, ids=[str(case[0]) for case in BAD_SETTINGS])
+@pytest.mark.parametrize(
+    ("settings", "error", "message"), BAD_SETTINGS, ids=[f"{case[0]!s:.60}" for case in BAD_SETTINGS]
+)
 def test_bad_settings_are_refused(settings, error, message):
     with pytest.raises(error, match=message):
         made(**settings)
     with pytest.raises(error, match=message):
         vectorised(2, **settings)
+
+
+def test_all_feedback_is_good_where_no_levels_are_set():
+    assert TaskSettings(person=FEELING, co_contraction="off", reflexes=False).subject.kf_e == -0.3
 
 
 def test_settings_are_not_the_callers_lists():
@@ -581,12 +595,17 @@ def test_actions_of_another_shape_or_kind_are_refused():
             "Td_s of the trial's subject = 0.031; expected a finite number at most 0.03",
         ),
         (
+            {"trial": replace(study_trials("PT")[0], subject=replace(PERSON.subjects["PT"], kf_e=-0.3))},
+            ValueError,
+            "subject 'S01' has kf_e = -0.3; expected 0 where the agent sets levels",
+        ),
+        (
             {"trial": replace(study_trials("PT")[0], subject=replace(PERSON.subjects["PT"], k_h=np.inf))},
             ValueError,
             "k_h = inf; expected a finite grip stiffness in a simulation",
         ),
     ],
-    ids=["unknown", "range", "dict", "type", "task", "both", "delay", "grip"],
+    ids=["unknown", "range", "dict", "type", "task", "both", "delay", "feedback", "grip"],
 )
 def test_bad_options_are_refused(options, error, message):
     env = made(**SHORT)
