@@ -324,8 +324,9 @@ class _Study:
         return lines
 
     def with_truth(self, case: Case) -> Case:
-        """A case with the path of its recording and, where it is known, the subject who was simulated."""
-        truth = next((case.condition.subject_of(person) for person in self.cohort if person.name == case.name), None)
+        """A case with the path of its recording and, where it is known and has a fixed shoulder, who was simulated."""
+        cohort = () if self.protocol.strap else self.cohort
+        truth = next((case.condition.subject_of(person) for person in cohort if person.name == case.name), None)
         return replace(case, recording=self.root / case.recording, truth=truth)
 
     def _cached(self, path: Path, kind: str, result: type[Result], **settings: Any) -> CachedResult[Result]:

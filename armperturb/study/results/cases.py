@@ -43,7 +43,8 @@ class Case(Result):
       force: RMS force of the multisine per axis in the window of the analysis, pooled over axes and trials [N]; NaN if
         not identified.
       displacement: RMS displacement, likewise [m].
-      truth: the subject that was simulated; None of people, and of subjects that this version would not draw.
+      truth: the subject that was simulated, which true values are of; None of people, of subjects that this version
+        would not draw, and of those whose shoulder a strap lets move, as what is fitted has a fixed one.
     """
 
     condition: Condition

@@ -13,6 +13,7 @@ import pytest
 from markupsafe import escape
 from scipy import stats
 
+from armperturb.environment import Strap
 from armperturb.envs.render.camera import simplify
 from armperturb.files import checksum
 from armperturb.pages.formats import MISSING, chance, digits, mean_sd, signed, symbol, words
@@ -26,9 +27,11 @@ from armperturb.study.report.figures import rig as rig_figures
 from armperturb.study.report.figures.catalogue import drawings
 from armperturb.study.report.findings import findings, geometric_mean, law_alone
 from armperturb.study.report.provenance import digest_of
+from armperturb.study.report.report import _simulations
 from armperturb.study.report.sections import left_out, remarks
 from armperturb.study.report.tables import fit_rows
-from tests.studies import coarse_study, sketch
+from armperturb.study.results.analyse import _Study
+from tests.studies import FEW_FITS, coarse_study, sketch
 
 HEADERS = {
     "summary": "condition,subjects,identified,trials,trials_used,model,median_abs_error_percent",
@@ -582,6 +585,40 @@ def test_no_truth_is_told_of_people_whose_muscles_yield(yielding, tmp_path):
             assert math.isnan(float(row[name]))
         assert float(row["lower_95"]) <= float(row["estimated"]) <= float(row["upper_95"])
     assert all(math.isnan(float(row["coverage_95_percent"])) for row in rows(tmp_path, "summary"))
+
+
+def test_a_strap_is_told_and_nothing_is_called_true(study, tmp_path):
+    strap = Strap(stiffness=3000.0, damping=120.0, mass=6.0)
+    protocol = replace(study.protocol, strap=strap)
+    found = _Study(
+        root=tmp_path,
+        settings=FEW_FITS,
+        paths={},
+        made=study.made,
+        protocol=protocol,
+        environment=study.environment,
+        cohort=study.cohort,
+        recorded={},
+    )
+    case = found.with_truth(study.of("PT7.5")[0])
+    assert study.has_truth
+    assert case.truth is None
+    strapped = replace(study, protocol=protocol, cases=(case,), people=())
+    assert strapped.is_linear
+    assert "parameters_PT" not in possible_figures(strapped)
+    text = " ".join(re.sub(r"<[^>]+>", "", sketch(strapped, tmp_path)).replace("&nbsp;", " ").split())
+    assert "stiffness 3000 N/m, damping 120 Ns/m, and a mass of 6.00 kg that moves with the shoulder" in text
+    assert text.count("of arm and moving shoulder together") == 2  # among the findings, and under Method
+    assert "have linear muscles and reflexes and do not tire." in text
+    for untrue in ("the same structure as the simulated people", "only the geometry", "truth in 95 %", "person's own"):
+        assert untrue not in text
+    assert all(math.isnan(float(row["true"])) for row in rows(tmp_path, "estimates"))
+
+    unit = _simulations(strapped, tmp_path)["moving-shoulder"]
+    assert unit.cached.settings["strap"] == repr(unit.run.keywords["strap"]) == repr(strap)
+    unit = _simulations(study, tmp_path)["moving-shoulder"]
+    assert unit.run.keywords["strap"] is None
+    assert "strap" not in unit.cached.settings
 
 
 def test_tells_how_far_people_change_after_practice(study, tmp_path):
