@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from armperturb.study.protocol import THESIS
@@ -16,7 +17,7 @@ def person(name, unit, value):
         name=name,
         unit=unit,
         limit=0.02 if "maximal" in unit else 0.1,
-        levels=(Level("RT7.5", "during", "biceps", value, 0.0, 4, 0.9, False),),
+        levels=(Level("RT7.5", "during", "biceps", value, value / 2, 4, 0.9, False),),
         cocontraction=tuple(rows),
     )
 
@@ -35,7 +36,13 @@ def test_means_tests_and_figures_are_of_people_of_one_unit():
     assert {row["n"] for row in section["tests"]} == {3}
     assert "2 % of maximal contraction in S2, S3, S4" in section["relaxation"]
     assert "10 % of PT22.5 in S1" in section["relaxation"]
-    assert {row["subject"]: row["unit"] for row in emg_rows(study)["emg_cocontraction"]}["S1"] == "% of PT22.5"
+    tables = emg_rows(study)
+    assert {row["subject"]: row["unit"] for row in tables["emg_cocontraction"]}["S1"] == "% of PT22.5"
+    # In percent, as their unit says.
+    assert [row["amplitude"] for row in tables["emg_levels"]] == pytest.approx([90.0, 2.0, 3.0, 4.0])
+    assert [row["lower_95"] for row in tables["emg_levels"]] == pytest.approx([45.0, 1.0, 1.5, 2.0])
+    assert [row["index"] for row in tables["emg_cocontraction"]] == pytest.approx(np.repeat([90.0, 2.0, 3.0, 4.0], 2))
+    assert {row["ratio"] for row in tables["emg_cocontraction"]} == {0.5}
     assert len(emg_drawings(study)["emg_cocontraction"].args[0]) == 3
 
 
