@@ -281,6 +281,7 @@ class _Study:
     def _emg_units(self, people: Mapping[Path, PersonResults], shown: Sequence[Case]) -> list[Unit[PersonEmg]]:
         """Everybody's EMG; and, in these cases, what figures show of it."""
         units = []
+        contractions = [condition.name for condition in self.protocol.conditions if condition.contraction]
         for path, person in people.items():
             name = person.measures.name
             condition = next((case.condition for case in shown if case.name == name), None)
@@ -289,9 +290,9 @@ class _Study:
                 kind="emg",
                 result=PersonEmg,
                 recordings={path.name: self.paths[path]},
-                settings={"shown": condition.name} if condition else {},
+                settings={"contractions": contractions, **({"shown": condition.name} if condition else {})},
             )
-            units.append(Unit(cached=cached, run=partial(person_emg, name, path, condition)))
+            units.append(Unit(cached=cached, run=partial(person_emg, name, path, condition, contractions)))
         return units
 
     def nonlinear_units(self, people: Mapping[Path, PersonResults]) -> list[_NonlinearUnit]:
