@@ -20,6 +20,7 @@ from armperturb.study.published import tables as published
 from armperturb.study.report import findings as of_study
 from armperturb.study.report.emg import emg_section, relaxation
 from armperturb.study.report.explorer import panels
+from armperturb.study.report.figures.pulses import ratio_is_published
 from armperturb.study.report.films import Films
 from armperturb.study.report.nonlinear_tables import SHOWN_MODELS, nonlinear_tables, words_of
 from armperturb.study.report.published_tables import published_tables
@@ -97,6 +98,7 @@ def sections(
         contexts["pulses"] = {
             "findings": ratios,
             "excess": of_study.excess_rows(study),
+            "ratio_is_published": any(ratio_is_published(each.name, each.pulse_levels) for each in conditions),
             # But for p values, which the statistics have.
             "headlines": score
             and [line for line in score.headlines if "pulse" in line.name and not line.name.startswith("p_")],
