@@ -36,8 +36,8 @@ LOG = logging.getLogger(__name__)
 Result = TypeVar("Result")
 
 VERSIONS = {
-    "person": 2,
-    "step-2": 2,
+    "person": 3,
+    "step-2": 3,
     "nonlinear": 4,
     "mechanisms": 1,
     "moving-shoulder": 2,

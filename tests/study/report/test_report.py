@@ -29,7 +29,7 @@ from armperturb.study.report.findings import findings, geometric_mean, law_alone
 from armperturb.study.report.provenance import digest_of
 from armperturb.study.report.report import _simulations
 from armperturb.study.report.sections import left_out, remarks
-from armperturb.study.report.tables import fit_rows
+from armperturb.study.report.tables import condition_rows, fit_rows, pulse_units
 from armperturb.study.results.analyse import _Study
 from tests.studies import FEW_FITS, coarse_study, sketch
 
@@ -438,6 +438,21 @@ def test_conditions_show_their_table(page, out):
         assert mean == pytest.approx(
             1e3 * float(row["displacement_m_mean"]), abs=0.06e3 * float(row["displacement_m_sd"])
         )
+
+
+def test_pulse_levels_are_told_in_newtons(written, study, thesis_study, tmp_path):
+    assert "multiples of a peak force of 53.9&nbsp;N, the same for all people." in written.read_text(encoding="utf-8")
+    practised = replace(thesis_study.protocol, forces="practice", pulse_unit_condition="PT7.5", pulse_unit_factor=8.0)
+    units = [8.0 * case.force for case in thesis_study.of("PT7.5")]
+    [_, _, row, *_] = condition_rows(replace(thesis_study, protocol=practised))
+    assert (row["condition"], row["pulse_unit_N_mean"]) == ("PT7.5", pytest.approx(np.mean(units)))
+    assert row["pulse_unit_N_sd"] == pytest.approx(np.std(units, ddof=1))
+    # Of a laboratory's pulses nobody knows it.
+    assert pulse_units(replace(thesis_study, made=None)) == []
+    brief = replace(study.protocol, forces="practice", pulse_unit_condition="PT7.5", multisine_duration=20.0)
+    text = sketch(replace(study, protocol=brief, people=()), tmp_path)
+    assert "which is 10 times the RMS force in PT7.5: 5" in text
+    assert "Force and displacement in PT7.5, RT7.5 are of all of the multisine" in text
 
 
 def test_admittance_of_the_tasks_is_the_ratio_of_the_gains(thesis_study, out):
