@@ -124,7 +124,8 @@ def write_report(
     for name, lines in more.items():
         write_or_remove(lines, out / "tables" / f"{name}.csv")
     films = made["films"][0] if made["films"] else ""
-    parts = sections(study, scored, tested, rows, yielding, shoulder, drawn, played, films)
+    tasks = [str(trial["task"].values[0]) for trial in pulses]
+    parts = sections(study, scored, tested, rows, yielding, shoulder, drawn, played, films, tasks)
     page = _page(study, parts, drawn, checksums)
     report = out / "report.html"
     write_whole(report, page)

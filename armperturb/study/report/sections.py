@@ -50,6 +50,7 @@ def sections(
     drawn: Collection[str],
     played: Sequence[Mapping[str, Any]] = (),
     films: Films | str = "",
+    stills: Sequence[str] = (),
 ) -> dict[str, dict[str, Any]]:
     """All sections that a study has content for, in order: template to what it shows beside what all sections know.
 
@@ -63,6 +64,7 @@ def sections(
       drawn: names of the figures that are there.
       played: people whose trials are played, see `played.played_data`.
       films: of pulses; the reason if this machine cannot make any.
+      stills: tasks of the trials that films and stills are of.
     """
     conditions = study.protocol.conditions
     # In which people shall move further, or less far, in the experiment than in practice.
@@ -119,6 +121,7 @@ def sections(
         }
     if "stills" in drawn:
         contexts["stills"] = {
+            "tasks": stills,
             "films": films.films if isinstance(films, Films) else (),
             "reason": "" if isinstance(films, Films) else films,
         }

@@ -683,7 +683,29 @@ def test_reports_conditions_of_any_name_and_pulses_or_none(study, tmp_path, monk
     recording = study.of("PT2.5")[0].trials()
     monkeypatch.setattr(type(cases[0]), "trials", lambda _: recording)
     renamed = replace(study, protocol=replace(study.protocol, conditions=(odd,)), cases=cases, people=())
-    text = sketch(renamed, tmp_path, figures=("perturbation", "prediction_PT"))
+    people = tuple(
+        replace(
+            each,
+            trials=(),
+            estimates={},
+            **{
+                name: {
+                    cell._replace(condition=odd.name): value
+                    for cell, value in getattr(each, name).items()
+                    if cell.condition == "PT2.5"
+                }
+                for name in ("cells", "true_cells")
+            },
+        )
+        for each in study.people
+    )
+    text = sketch(replace(renamed, people=people), tmp_path, figures=("perturbation", "prediction_PT"))
+    page = Page(text)
+    assert {"fits", "table-joints"} <= set(page.ids)
+    # Nothing is printed of such a condition: there are no tables of the thesis to lead to.
+    assert "published" not in page.ids
+    assert {anchor.removeprefix("#") for anchor in page.anchors} <= set(page.ids)
+    assert "Tables C.3 to E.5" not in text
     assert shown_figures(Page(text)) == {"perturbation", "prediction_PT"}
     assert possible_figures(renamed) == {
         *("perturbation", "admittance_by_task", "gain_linear_scale", "coherence"),
