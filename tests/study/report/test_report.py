@@ -618,13 +618,15 @@ def test_a_strap_is_told_and_nothing_is_called_true(study, tmp_path):
     case = found.with_truth(study.of("PT7.5")[0])
     assert study.has_truth
     assert case.truth is None
-    strapped = replace(study, protocol=protocol, cases=(case,), people=())
+    strapped = replace(study, protocol=protocol, cases=(case,))
     assert strapped.is_linear
     assert "parameters_PT" not in possible_figures(strapped)
     text = " ".join(re.sub(r"<[^>]+>", "", sketch(strapped, tmp_path)).replace("&nbsp;", " ").split())
     assert "stiffness 3000 N/m, damping 120 Ns/m, and a mass of 6.00 kg that moves with the shoulder" in text
     assert text.count("of arm and moving shoulder together") == 2  # among the findings, and under Method
     assert "have linear muscles and reflexes and do not tire." in text
+    assert "What is between them is the movement of the shoulder, the grip's deflection, and instruments." in text
+    assert "cases the joints, as the handle's path about a fixed shoulder has them, rotate beyond" in text
     for untrue in ("the same structure as the simulated people", "only the geometry", "truth in 95 %", "person's own"):
         assert untrue not in text
     assert all(math.isnan(float(row["true"])) for row in rows(tmp_path, "estimates"))
