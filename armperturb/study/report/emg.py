@@ -40,15 +40,25 @@ def relaxation(study: StudyResult) -> str:
 
 
 def emg_rows(study: StudyResult) -> dict[str, list[dict[str, Any]]]:
-    """Tables of EMG, by name; without rows where nobody has any."""
+    """Tables of EMG, by name: amplitudes and indices in percent, as units say; without rows where nobody has any."""
     levels = [
-        {"subject": person.name, "unit": person.unit, **row._asdict()} for person in study.emg for row in person.levels
+        {
+            "subject": person.name,
+            "unit": person.unit,
+            **row._asdict(),
+            "amplitude": 100.0 * row.amplitude,
+            "lower_95": 100.0 * row.lower_95,
+        }
+        for person in study.emg
+        for row in person.levels
     ]
     index = [
         {
             "subject": person.name,
             "unit": person.unit,
-            **dict(zip(("condition", "part", "joint", "index", "ratio"), row, strict=True)),
+            **dict(zip(("condition", "part", "joint"), row[:3], strict=True)),
+            "index": 100.0 * row.lesser,
+            "ratio": row.ratio,
         }
         for person in study.emg
         for row in person.cocontraction
@@ -97,8 +107,8 @@ def _indices(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
             "part": part,
             "joint": joint,
             "n": len(members),
-            "mean": 100.0 * float(np.mean([row["index"] for row in members])),
-            "sd": 100.0 * float(np.std([row["index"] for row in members], ddof=1)) if len(members) > 1 else np.nan,
+            "mean": float(np.mean([row["index"] for row in members])),
+            "sd": float(np.std([row["index"] for row in members], ddof=1)) if len(members) > 1 else np.nan,
         }
         for (condition, part, joint), members in _grouped(rows, ("condition", "part", "joint")).items()
     ]
@@ -113,7 +123,7 @@ def _levels(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
             "muscle": muscle.replace("_", " "),
             "active": sum(row["is_active"] for row in members),
             "n": int(np.isfinite([row["p"] for row in members]).sum()),
-            "mean": 100.0 * float(mean_known(np.array([row["amplitude"] for row in members]))),
+            "mean": float(mean_known(np.array([row["amplitude"] for row in members]))),
         }
         for (condition, part, muscle), members in _grouped(rows, ("condition", "part", "muscle")).items()
     ]

@@ -38,10 +38,10 @@ def tasks_fitted(study: StudyResult) -> list[str]:
 
 
 def true_parameters(study: StudyResult, fit: NonlinearFit) -> dict[str, float]:
-    """Parameter to its true value; empty of people who are not known."""
+    """Parameter to its true value; empty of people who are not known, or whose shoulder a strap lets move."""
     person = next((person for person in study.cohort if person.name == fit.name), None)
     conditions = {condition.name: condition for condition in study.protocol.conditions}
-    if person is None or fit.reference not in conditions:
+    if person is None or study.protocol.strap or fit.reference not in conditions:
         return {}
 
     def level(name: str) -> float:

@@ -124,7 +124,8 @@ def write_report(
     for name, lines in more.items():
         write_or_remove(lines, out / "tables" / f"{name}.csv")
     films = made["films"][0] if made["films"] else ""
-    parts = sections(study, scored, tested, rows, yielding, shoulder, drawn, played, films)
+    tasks = [str(trial["task"].values[0]) for trial in pulses]
+    parts = sections(study, scored, tested, rows, yielding, shoulder, drawn, played, films, tasks)
     page = _page(study, parts, drawn, checksums)
     report = out / "report.html"
     write_whole(report, page)
@@ -136,13 +137,23 @@ def _simulations(study: StudyResult, out: Path) -> dict[str, Unit[Any]]:
     if not study.cohort:
         return {}
     person = study.cohort[0]
-    functions: dict[str, tuple[Callable[..., Any], type]] = {"moving-shoulder": (moving_shoulder, MovingShoulder)}
+    strap = study.protocol.strap
+    functions: dict[str, tuple[Callable[..., Any], type]] = {
+        "moving-shoulder": (partial(moving_shoulder, strap=strap), MovingShoulder)
+    }
     if has_law(person):
         functions["mechanisms"] = why_people_yield, Yielding
     source = {"person": repr(person), "environment": repr(study.environment), "seed": study.seed}
+    # The muscle law is shown of a shoulder that is held, whatever the strap.
+    sources = {"moving-shoulder": {**source, "strap": repr(strap)}} if strap else {}
     return {
         kind: Unit(
-            cached=CachedResult(path=out / ANALYSIS / f"{kind}.json.gz", kind=kind, result=result, settings=source),
+            cached=CachedResult(
+                path=out / ANALYSIS / f"{kind}.json.gz",
+                kind=kind,
+                result=result,
+                settings=sources.get(kind, source),
+            ),
             run=partial(function, person, environment=study.environment, seed=study.seed),
         )
         for kind, (function, result) in functions.items()

@@ -20,6 +20,7 @@ from armperturb.study.published import tables as published
 from armperturb.study.report import findings as of_study
 from armperturb.study.report.emg import emg_section, relaxation
 from armperturb.study.report.explorer import panels
+from armperturb.study.report.figures.pulses import ratio_is_published
 from armperturb.study.report.films import Films
 from armperturb.study.report.nonlinear_tables import SHOWN_MODELS, nonlinear_tables, words_of
 from armperturb.study.report.published_tables import published_tables
@@ -49,6 +50,7 @@ def sections(
     drawn: Collection[str],
     played: Sequence[Mapping[str, Any]] = (),
     films: Films | str = "",
+    stills: Sequence[str] = (),
 ) -> dict[str, dict[str, Any]]:
     """All sections that a study has content for, in order: template to what it shows beside what all sections know.
 
@@ -62,6 +64,7 @@ def sections(
       drawn: names of the figures that are there.
       played: people whose trials are played, see `played.played_data`.
       films: of pulses; the reason if this machine cannot make any.
+      stills: tasks of the trials that films and stills are of.
     """
     conditions = study.protocol.conditions
     # In which people shall move further, or less far, in the experiment than in practice.
@@ -97,6 +100,7 @@ def sections(
         contexts["pulses"] = {
             "findings": ratios,
             "excess": of_study.excess_rows(study),
+            "ratio_is_published": any(ratio_is_published(each.name, each.pulse_levels) for each in conditions),
             # But for p values, which the statistics have.
             "headlines": score
             and [line for line in score.headlines if "pulse" in line.name and not line.name.startswith("p_")],
@@ -117,6 +121,7 @@ def sections(
         }
     if "stills" in drawn:
         contexts["stills"] = {
+            "tasks": stills,
             "films": films.films if isinstance(films, Films) else (),
             "reason": "" if isinstance(films, Films) else films,
         }

@@ -121,10 +121,10 @@ def _flat(summary: Row) -> Row:
 
 
 def condition_rows(study: StudyResult) -> list[Row]:
-    """What was run, and force and displacement of the multisine, per axis, beside table 2.1."""
+    """What was run, force and displacement of the multisine, per axis, beside table 2.1, and the unit of pulses."""
     rows = []
     for condition in study.protocol.conditions:
-        cases = study.of(condition.name)
+        cases = [case for case in study.cases if case.condition.name == condition.name]
         force, displacement = (
             published_or_nan(source, condition.name) for source in (published.applied_force, published.rms_displacement)
         )
@@ -141,9 +141,20 @@ def condition_rows(study: StudyResult) -> list[Row]:
                 "published_displacement_m_mean": displacement.mean,
                 "published_displacement_m_sd": displacement.sd,
                 **mean_sd_of("displacement_m", [case.displacement for case in cases]),
+                **mean_sd_of("pulse_unit_N", pulse_units(study) if condition.pulse_levels else []),
             }
         )
     return rows
+
+
+def pulse_units(study: StudyResult) -> list[float]:
+    """Peak force of a pulse of level 1 [N]: each person's, if it follows from practice; none if nobody knows it."""
+    protocol = study.protocol
+    if study.made is None:
+        return []
+    if protocol.forces == "practice" and protocol.pulse_unit_condition:
+        return [protocol.pulse_unit_factor * case.force for case in study.of(protocol.pulse_unit_condition)]
+    return [protocol.pulse_unit]
 
 
 def summary_rows(study: StudyResult, of_parameters: list[Row], of_fits: list[Row]) -> list[Row]:

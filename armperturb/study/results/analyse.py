@@ -281,6 +281,7 @@ class _Study:
     def _emg_units(self, people: Mapping[Path, PersonResults], shown: Sequence[Case]) -> list[Unit[PersonEmg]]:
         """Everybody's EMG; and, in these cases, what figures show of it."""
         units = []
+        contractions = [condition.name for condition in self.protocol.conditions if condition.contraction]
         for path, person in people.items():
             name = person.measures.name
             condition = next((case.condition for case in shown if case.name == name), None)
@@ -289,9 +290,9 @@ class _Study:
                 kind="emg",
                 result=PersonEmg,
                 recordings={path.name: self.paths[path]},
-                settings={"shown": condition.name} if condition else {},
+                settings={"contractions": contractions, **({"shown": condition.name} if condition else {})},
             )
-            units.append(Unit(cached=cached, run=partial(person_emg, name, path, condition)))
+            units.append(Unit(cached=cached, run=partial(person_emg, name, path, condition, contractions)))
         return units
 
     def nonlinear_units(self, people: Mapping[Path, PersonResults]) -> list[_NonlinearUnit]:
@@ -324,8 +325,9 @@ class _Study:
         return lines
 
     def with_truth(self, case: Case) -> Case:
-        """A case with the path of its recording and, where it is known, the subject who was simulated."""
-        truth = next((case.condition.subject_of(person) for person in self.cohort if person.name == case.name), None)
+        """A case with the path of its recording and, where it is known and has a fixed shoulder, who was simulated."""
+        cohort = () if self.protocol.strap else self.cohort
+        truth = next((case.condition.subject_of(person) for person in cohort if person.name == case.name), None)
         return replace(case, recording=self.root / case.recording, truth=truth)
 
     def _cached(self, path: Path, kind: str, result: type[Result], **settings: Any) -> CachedResult[Result]:

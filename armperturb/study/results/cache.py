@@ -36,15 +36,15 @@ LOG = logging.getLogger(__name__)
 Result = TypeVar("Result")
 
 VERSIONS = {
-    "person": 2,
-    "step-2": 2,
+    "person": 3,
+    "step-2": 3,
     "nonlinear": 4,
     "mechanisms": 1,
     "moving-shoulder": 2,
     "figure": 1,
     "played": 1,
     "films": 1,
-    "emg": 8,
+    "emg": 9,
 }
 """Kind of result to the version of its algorithm.
 

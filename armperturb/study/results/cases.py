@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from armperturb.analysis.cuts import of_condition
 from armperturb.analysis.defaults import LINEAR_MODELS, WINDOW_START
@@ -40,10 +41,11 @@ class Case(Result):
       thesis: what the thesis's estimator makes of the same trials; None if it cannot.
       left_out: reasons why trials were left out, or why an estimator gave nothing.
       single_trials: spectra of each trial behind the identification, averaged over adjacent lines only.
-      force: RMS force of the multisine per axis in the window of the analysis, pooled over axes and trials [N]; NaN if
-        not identified.
+      force: RMS force of the multisine per axis in the window of the analysis, pooled over axes and trials [N]; of all
+        of a multisine that the protocol makes too short for that window; else NaN if not identified.
       displacement: RMS displacement, likewise [m].
-      truth: the subject that was simulated; None of people, and of subjects that this version would not draw.
+      truth: the subject that was simulated, which true values are of; None of people, of subjects that this version
+        would not draw, and of those whose shoulder a strap lets move, as what is fitted has a fixed one.
     """
 
     condition: Condition
@@ -145,7 +147,11 @@ def _identify(
     if condition in protocol.too_short():
         reason = f"the multisine lasts {protocol.multisine_lasts(condition):g} s, and the analysis needs {NEEDED:g} s"
         left_out.append(f"{name} in {condition.name} was not identified: {reason}")
-        return replace(case, left_out=tuple(left_out)), None
+        case = replace(case, left_out=tuple(left_out))
+        if multisine is not None and multisine.n_trials:
+            force, displacement = _rms(multisine.perturbation), _rms(multisine.recorded_displacement)
+            case = replace(case, force=force, displacement=displacement)
+        return case, None
     if multisine is None or not multisine.n_trials:
         return case, None
     try:
@@ -153,8 +159,8 @@ def _identify(
             case,
             identification=identify(multisine, structure_of(LINEAR_MODELS[condition.task])),
             single_trials=single_trial_spectra(multisine),
-            force=_rms(multisine.perturbation, multisine.rate),
-            displacement=_rms(multisine.recorded_displacement, multisine.rate),
+            force=_rms(multisine.perturbation[:, _window(multisine)]),
+            displacement=_rms(multisine.recorded_displacement[:, _window(multisine)]),
         ), multisine
     except ValueError as error:  # must not cost the other people their results
         left_out.append(f"{name} in {condition.name} was not identified: {error}")
@@ -184,8 +190,12 @@ def _by_thesis(
     return results, failed
 
 
-def _rms(signal: Array, rate: float) -> float:
-    """RMS per axis over the window of the analysis, pooled over axes and trials."""
-    time = np.arange(signal.shape[1]) / rate
-    window = (time >= WINDOW_START) & (time < WINDOW_START + PERIOD - 1e-9)
-    return float(np.sqrt(np.mean(signal[:, window] ** 2)))
+def _window(trials: ConditionTrials) -> NDArray[np.bool_]:
+    """Which samples are in the window of the analysis, (time,)."""
+    time = np.arange(trials.n_samples) / trials.rate
+    return np.asarray((time >= WINDOW_START) & (time < WINDOW_START + PERIOD - 1e-9))
+
+
+def _rms(signal: Array) -> float:
+    """RMS per axis, pooled over axes and trials."""
+    return float(np.sqrt(np.mean(signal**2)))

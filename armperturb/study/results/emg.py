@@ -1,7 +1,7 @@
 """What the EMG of a person tells in a study: activity, co-contraction and reflexes in each condition."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -94,8 +94,8 @@ class PersonEmg:
       name: of the person.
       unit: of amplitudes; empty without EMG.
       limit: amplitude up to which a muscle counts as relaxed [-].
-      levels: of each muscle.
-      cocontraction: of each joint.
+      levels: of each muscle in each condition but contractions.
+      cocontraction: of each joint, likewise.
       reflexes: of each muscle, in conditions whose trials are long enough.
       remarks: of the channels, or why there is nothing.
       shown: what figures show, where that was asked for.
@@ -136,13 +136,17 @@ def of_one_unit(people: Sequence[PersonEmg]) -> tuple[PersonEmg, ...]:
     return tuple(person for person in there if person.unit == units.most_common(1)[0][0])
 
 
-def person_emg(name: str, path: Path, shown: Condition | None = None) -> PersonEmg:
+def person_emg(name: str, path: Path, shown: Condition | None = None, contractions: Collection[str] = ()) -> PersonEmg:
     """Analyse the EMG of a person's recording.
+
+    Contractions last for a part of their trial, so that the mean over the trial, which levels and indices are of, says
+    nothing of them.
 
     Args:
       name: of the person.
       path: of the recording.
       shown: condition of which figures are drawn, if the recording has trials of it that are long enough.
+      contractions: conditions of contractions, beside the maximal ones that amplitudes refer to.
 
     Raises:
       ValueError: the recording is refused.
@@ -156,18 +160,22 @@ def person_emg(name: str, path: Path, shown: Condition | None = None) -> PersonE
     of_muscles = activity(amplitudes)
     # Cut without the EMG, of which copies take long.
     by_condition = trials_by_condition(recording.drop_vars("emg"), is_checked=True)
+    contracted = {MAXIMAL, *contractions}
     of_conditions: dict[str, Reflexes] = {}
     for label, trials in by_condition.items():
-        if label not in (MAXIMAL, REST):
+        if label not in (*contracted, REST):
             with suppress(ValueError):  # trials that are too short
                 of_conditions[label] = reflexes(trials, amplitudes)
     columns = ["muscle", *Reflex._fields[2:]]
+    levels, cocontraction = (
+        frame[~frame["condition"].isin(contracted)] for frame in (of_muscles.levels, of_muscles.cocontraction)
+    )
     return PersonEmg(
         name=name,
         unit=of_muscles.unit,
         limit=float(of_muscles.limit),
-        levels=tuple(Level(*row) for row in _plain(of_muscles.levels)),
-        cocontraction=tuple(Cocontraction(*row) for row in _plain(of_muscles.cocontraction)),
+        levels=tuple(Level(*row) for row in _plain(levels)),
+        cocontraction=tuple(Cocontraction(*row) for row in _plain(cocontraction)),
         reflexes=tuple(
             Reflex(label, *row)
             for label, reflex in of_conditions.items()

@@ -125,8 +125,13 @@ class StudyResult(results.Result):
         return tuple(dict.fromkeys([*(person.name for person in self.people), *(case.name for case in self.cases)]))
 
     @property
+    def is_linear(self) -> bool:
+        """Whether the people were simulated with linear muscles."""
+        return self.made is not None and self.made.muscles == "linear"
+
+    @property
     def has_truth(self) -> bool:
-        """Whether the people are known and linear, so that what is fitted to them has true values."""
+        """Whether the people are known, linear and have a fixed shoulder, so that what is fitted has true values."""
         truths = [case.truth for case in self.cases]
         return bool(truths) and all(truth is not None and truth.muscle is None for truth in truths)
 

@@ -144,6 +144,32 @@ def test_pulse_admittances_are_of_people_with_the_ratio_of_levels(invented):
     ]
 
 
+def test_pulses_of_a_third_level_are_neither_beside_the_thesiss_ratio_nor_below_its_maximum(invented):
+    more = {1.0: 2.0, 2.0: 3.0}
+    people = tuple(
+        replace(
+            each,
+            trials=tuple(
+                trial._replace(pulse_level=more[abs(trial.pulse_level)]) if trial.condition == "PT0" else trial
+                for trial in each.trials
+            ),
+        )
+        for each in invented.people
+    )
+    conditions = [
+        replace(each, pulse_levels=(2.0, 3.0)) if each.name == "PT0" else each for each in invented.protocol.conditions
+    ]
+    study = replace(invented, people=people, protocol=replace(invented.protocol, conditions=tuple(conditions)))
+    figure = pulse_figures.pulse_admittance(study)
+    told = texts(figure.axes[0])
+    assert [text for text in told if "published" in text] == ["× 1.5 published"]  # of PT7.5
+    assert len(told) == 3
+    names = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert names[:4] == ["people, PT, level 1", "people, PT, level 2", "people, PT, level 3", "people, RT, level 1"]
+    of_thesis = pulse_figures.pulse_admittance(invented).legends[0].get_texts()
+    assert [text.get_text() for text in of_thesis][:2] == ["people, PT, minimum level", "people, PT, maximum level"]
+
+
 def test_predictions_leave_out_trials_without_one(invented):
     position, relax = pulse_figures.pulse_prediction(invented).axes
     expected = []

@@ -13,6 +13,7 @@ import pytest
 from markupsafe import escape
 from scipy import stats
 
+from armperturb.environment import Strap
 from armperturb.envs.render.camera import simplify
 from armperturb.files import checksum
 from armperturb.pages.formats import MISSING, chance, digits, mean_sd, signed, symbol, words
@@ -26,9 +27,11 @@ from armperturb.study.report.figures import rig as rig_figures
 from armperturb.study.report.figures.catalogue import drawings
 from armperturb.study.report.findings import findings, geometric_mean, law_alone
 from armperturb.study.report.provenance import digest_of
+from armperturb.study.report.report import _simulations
 from armperturb.study.report.sections import left_out, remarks
-from armperturb.study.report.tables import fit_rows
-from tests.studies import coarse_study, sketch
+from armperturb.study.report.tables import condition_rows, fit_rows, pulse_units
+from armperturb.study.results.analyse import _Study
+from tests.studies import FEW_FITS, coarse_study, sketch
 
 HEADERS = {
     "summary": "condition,subjects,identified,trials,trials_used,model,median_abs_error_percent",
@@ -437,6 +440,21 @@ def test_conditions_show_their_table(page, out):
         )
 
 
+def test_pulse_levels_are_told_in_newtons(written, study, thesis_study, tmp_path):
+    assert "multiples of a peak force of 53.9&nbsp;N, the same for all people." in written.read_text(encoding="utf-8")
+    practised = replace(thesis_study.protocol, forces="practice", pulse_unit_condition="PT7.5", pulse_unit_factor=8.0)
+    units = [8.0 * case.force for case in thesis_study.of("PT7.5")]
+    [_, _, row, *_] = condition_rows(replace(thesis_study, protocol=practised))
+    assert (row["condition"], row["pulse_unit_N_mean"]) == ("PT7.5", pytest.approx(np.mean(units)))
+    assert row["pulse_unit_N_sd"] == pytest.approx(np.std(units, ddof=1))
+    # Of a laboratory's pulses nobody knows it.
+    assert pulse_units(replace(thesis_study, made=None)) == []
+    brief = replace(study.protocol, forces="practice", pulse_unit_condition="PT7.5", multisine_duration=20.0)
+    text = sketch(replace(study, protocol=brief, people=()), tmp_path)
+    assert "which is 10 times the RMS force in PT7.5: 5" in text
+    assert "Force and displacement in PT7.5, RT7.5 are of all of the multisine" in text
+
+
 def test_admittance_of_the_tasks_is_the_ratio_of_the_gains(thesis_study, out):
     def gain(name, k, i):
         gains = [abs(case.identified.spectra.arm[k, i, i]) for case in thesis_study.of(name)]
@@ -584,6 +602,42 @@ def test_no_truth_is_told_of_people_whose_muscles_yield(yielding, tmp_path):
     assert all(math.isnan(float(row["coverage_95_percent"])) for row in rows(tmp_path, "summary"))
 
 
+def test_a_strap_is_told_and_nothing_is_called_true(study, tmp_path):
+    strap = Strap(stiffness=3000.0, damping=120.0, mass=6.0)
+    protocol = replace(study.protocol, strap=strap)
+    found = _Study(
+        root=tmp_path,
+        settings=FEW_FITS,
+        paths={},
+        made=study.made,
+        protocol=protocol,
+        environment=study.environment,
+        cohort=study.cohort,
+        recorded={},
+    )
+    case = found.with_truth(study.of("PT7.5")[0])
+    assert study.has_truth
+    assert case.truth is None
+    strapped = replace(study, protocol=protocol, cases=(case,))
+    assert strapped.is_linear
+    assert "parameters_PT" not in possible_figures(strapped)
+    text = " ".join(re.sub(r"<[^>]+>", "", sketch(strapped, tmp_path)).replace("&nbsp;", " ").split())
+    assert "stiffness 3000 N/m, damping 120 Ns/m, and a mass of 6.00 kg that moves with the shoulder" in text
+    assert text.count("of arm and moving shoulder together") == 2  # among the findings, and under Method
+    assert "have linear muscles and reflexes and do not tire." in text
+    assert "What is between them is the movement of the shoulder, the grip's deflection, and instruments." in text
+    assert "cases the joints, as the handle's path about a fixed shoulder has them, rotate beyond" in text
+    for untrue in ("the same structure as the simulated people", "only the geometry", "truth in 95 %", "person's own"):
+        assert untrue not in text
+    assert all(math.isnan(float(row["true"])) for row in rows(tmp_path, "estimates"))
+
+    unit = _simulations(strapped, tmp_path)["moving-shoulder"]
+    assert unit.cached.settings["strap"] == repr(unit.run.keywords["strap"]) == repr(strap)
+    unit = _simulations(study, tmp_path)["moving-shoulder"]
+    assert unit.run.keywords["strap"] is None
+    assert "strap" not in unit.cached.settings
+
+
 def test_tells_how_far_people_change_after_practice(study, tmp_path):
     steady, changing = (
         replace(THESIS, conditions=tuple(replace(c, reached=reached, reached_spread=0.0) for c in THESIS.conditions))
@@ -631,7 +685,29 @@ def test_reports_conditions_of_any_name_and_pulses_or_none(study, tmp_path, monk
     recording = study.of("PT2.5")[0].trials()
     monkeypatch.setattr(type(cases[0]), "trials", lambda _: recording)
     renamed = replace(study, protocol=replace(study.protocol, conditions=(odd,)), cases=cases, people=())
-    text = sketch(renamed, tmp_path, figures=("perturbation", "prediction_PT"))
+    people = tuple(
+        replace(
+            each,
+            trials=(),
+            estimates={},
+            **{
+                name: {
+                    cell._replace(condition=odd.name): value
+                    for cell, value in getattr(each, name).items()
+                    if cell.condition == "PT2.5"
+                }
+                for name in ("cells", "true_cells")
+            },
+        )
+        for each in study.people
+    )
+    text = sketch(replace(renamed, people=people), tmp_path, figures=("perturbation", "prediction_PT"))
+    page = Page(text)
+    assert {"fits", "table-joints"} <= set(page.ids)
+    # Nothing is printed of such a condition: there are no tables of the thesis to lead to.
+    assert "published" not in page.ids
+    assert {anchor.removeprefix("#") for anchor in page.anchors} <= set(page.ids)
+    assert "Tables C.3 to E.5" not in text
     assert shown_figures(Page(text)) == {"perturbation", "prediction_PT"}
     assert possible_figures(renamed) == {
         *("perturbation", "admittance_by_task", "gain_linear_scale", "coherence"),

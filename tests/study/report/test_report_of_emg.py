@@ -2,11 +2,14 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from invented_emg import noise, recorded
 
+from armperturb.recording_files import save_recording
 from armperturb.study.protocol import THESIS
 from armperturb.study.report.emg import emg_drawings, emg_rows, emg_section
-from armperturb.study.results.emg import Cocontraction, Level, PersonEmg
+from armperturb.study.results.emg import Cocontraction, Level, PersonEmg, person_emg
 
 
 def person(name, unit, value):
@@ -16,7 +19,7 @@ def person(name, unit, value):
         name=name,
         unit=unit,
         limit=0.02 if "maximal" in unit else 0.1,
-        levels=(Level("RT7.5", "during", "biceps", value, 0.0, 4, 0.9, False),),
+        levels=(Level("RT7.5", "during", "biceps", value, value / 2, 4, 0.9, False),),
         cocontraction=tuple(rows),
     )
 
@@ -35,8 +38,29 @@ def test_means_tests_and_figures_are_of_people_of_one_unit():
     assert {row["n"] for row in section["tests"]} == {3}
     assert "2 % of maximal contraction in S2, S3, S4" in section["relaxation"]
     assert "10 % of PT22.5 in S1" in section["relaxation"]
-    assert {row["subject"]: row["unit"] for row in emg_rows(study)["emg_cocontraction"]}["S1"] == "% of PT22.5"
+    tables = emg_rows(study)
+    assert {row["subject"]: row["unit"] for row in tables["emg_cocontraction"]}["S1"] == "% of PT22.5"
+    # In percent, as their unit says.
+    assert [row["amplitude"] for row in tables["emg_levels"]] == pytest.approx([90.0, 2.0, 3.0, 4.0])
+    assert [row["lower_95"] for row in tables["emg_levels"]] == pytest.approx([45.0, 1.0, 1.5, 2.0])
+    assert [row["index"] for row in tables["emg_cocontraction"]] == pytest.approx(np.repeat([90.0, 2.0, 3.0, 4.0], 2))
+    assert {row["ratio"] for row in tables["emg_cocontraction"]} == {0.5}
     assert len(emg_drawings(study)["emg_cocontraction"].args[0]) == 3
+
+
+def test_contractions_that_last_for_a_part_of_their_trial_have_no_level(tmp_path):
+    contracted = np.zeros(20_000)
+    contracted[2_000:12_000] = 1.0
+    amplitude = np.stack([contracted, 0.5 * contracted, np.full(20_000, 0.1), np.zeros(20_000)])
+    conditions = ["MVC", "half", "PT7.5", "REST"]
+    volts = amplitude[:, None] * noise((4, 2, 20_000)) + 1e-3 * np.random.default_rng(0).standard_normal((4, 2, 20_000))
+    recording = recorded(volts, conditions)
+    save_recording(recording, tmp_path / "A.nc")
+    told = person_emg("A", tmp_path / "A.nc", contractions=("half",))
+    assert told.unit == MAXIMAL
+    assert {row.condition for row in told.levels} == {"PT7.5", "REST"}
+    assert {row.condition for row in told.cocontraction} == {"PT7.5", "REST"}
+    assert [row.amplitude for row in told.levels if row.condition == "PT7.5"] == pytest.approx([0.1, 0.1], rel=0.1)
 
 
 def test_people_without_an_index_have_no_figure_of_it():

@@ -8,7 +8,8 @@ import pytest
 from invented import people_of, study_of
 
 from armperturb.cohort import draw_person
-from armperturb.pages.page import rendered
+from armperturb.environment import Strap
+from armperturb.pages.page import Picture, rendered
 from armperturb.study.report.findings import fall_is_given, findings
 from armperturb.study.report.words import WORDS
 
@@ -28,6 +29,30 @@ def summary(study):
         intervals="",
     )
     return re.sub(r"\s+", " ", re.sub("<[^>]+>", "", page.split('<section id="summary">')[1]))
+
+
+def stills(study, tasks):
+    """The text of the section with stills of pulses, without films."""
+    page = rendered(
+        *("armperturb.study.report", "page.html", {"stills": {"tasks": tasks, "films": (), "reason": ""}}),
+        *(WORDS["sections"], {"stills": Picture("<svg/>", 1.0, 1.0)}),
+        study=study,
+        first="S01",
+    )
+    return re.sub(r"\s+", " ", re.sub("<[^>]+>", "", page.split('<section id="stills">')[1]))
+
+
+def test_stills_are_of_the_tasks_that_have_pulses_from_rest(study):
+    text = stills(study, ["PT", "RT"])
+    assert "The hardest pulse from rest of each task, from above." in text
+    assert "Two recorded trials of S01 from above" in text
+    for task, doing in (("PT", "keeping position"), ("RT", "relaxing")):
+        text = stills(study, [task])
+        assert f"The hardest pulse from rest of {task}, from above." in text
+        assert f"A recorded trial of S01 from above: the hardest pulse from rest while {doing}." in text
+    assert "about a fixed shoulder" not in text
+    strapped = replace(study, protocol=replace(study.protocol, strap=Strap()))
+    assert "The arm is drawn about a fixed shoulder." in stills(strapped, ["PT"])
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from armperturb import cli
 from armperturb.analysis.measures.pulse import predicted_peaks, pulse_peaks
 from armperturb.analysis.nonlinear import estimate as nonlinear_estimate
 from armperturb.cohort import draw_person
-from armperturb.environment import Environment
+from armperturb.environment import Environment, Strap
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
 from armperturb.joined_recordings import stack_trials
@@ -234,6 +234,8 @@ def test_truth_is_relative_to_the_level_of_the_reference():
     for name in ("PT0", "PT2.5", "PT22.5"):
         assert truth["k.elbow"] * truth[f"level.{name}"] == pytest.approx(in_condition[name].muscle_groups("k")[2])
     assert true_parameters(study, study.nonlinear[0]._replace(name="S99")) == {}
+    strapped = replace(study, protocol=replace(study.protocol, strap=Strap()))
+    assert true_parameters(strapped, study.nonlinear[0]) == {}
 
 
 def test_tables_hold_estimates_against_truth_and_linear_arms():

@@ -1,6 +1,6 @@
 """Figures of the responses to pulses: peaks and their prediction (thesis figures 3.15, 3.16, 3.19)."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from typing import Any
 
@@ -45,7 +45,7 @@ def pulse_admittance(study: StudyResult, p: Mapping[str, float] | None = None) -
     """Peak displacement over peak hand reaction force: people's means over trials, and their means (thesis fig. 3.16).
 
     Above conditions with several levels stands the ratio of the means of the largest and the smallest over the people
-    who have both, and what the thesis has.
+    who have both, and what the thesis has, if these are its levels.
 
     Args:
       study: with trials that have pulses.
@@ -70,10 +70,15 @@ def pulse_admittance(study: StudyResult, p: Mapping[str, float] | None = None) -
                 "va": "bottom",
             }
             ax.annotate(f"× {largest / smallest:.2f} {stars}".strip(), xytext=(0, 15), **place)
-            if set(published.pulse_levels(condition)) == set(PULSE_LEVELS):
+            if ratio_is_published(condition, levels):
                 printed = published.headline(f"pulse_admittance_ratio_max_min_{condition.lower()}")
                 ax.annotate(f"× {printed:g} published", xytext=(0, 4), **place, color=PUBLISHED["color"], fontsize=8)
     return figure
+
+
+def ratio_is_published(condition: str, levels: Collection[float]) -> bool:
+    """Whether the thesis prints the ratio of the largest and the smallest of these levels of pulses in a condition."""
+    return set(published.pulse_levels(condition)) == set(PULSE_LEVELS) and set(levels) == set(PULSE_LEVELS.values())
 
 
 @in_style()
@@ -152,10 +157,14 @@ def _draw_levels(
     }
     figure, panels = groups_of_people.task_panels(3.5, groups, shared=shared)
     tops = {task: (ax, groups_of_people.draw_groups(ax, groups[task], scale)) for task, ax in panels.items()}
+    drawn = {
+        task: sorted({level for of in conditions.values() for level in of}) for task, conditions in by_task.items()
+    }
+    every = {level for levels in drawn.values() for level in levels}
     handles = [
-        groups_of_people.people_handle(f"people, {task}, {_level_words(level)}", *_look(task, level))
-        for task, conditions in by_task.items()
-        for level in sorted({level for levels in conditions.values() for level in levels})
+        groups_of_people.people_handle(f"people, {task}, {_level_words(level, every)}", *_look(task, level))
+        for task, levels in drawn.items()
+        for level in levels
     ]
     mean = groups_of_people.mean_label(groups.values())
     handles += [groups_of_people.mean_handle(mean), *groups_of_people.printed_handles(groups.values())]
@@ -167,9 +176,10 @@ def _draw_levels(
     return figure, tops
 
 
-def _level_words(level: float) -> str:
-    """For a legend: the thesis's name of its levels."""
-    return {"min": "minimum level", "max": "maximum level"}.get(level_name(level), f"level {level:g}")
+def _level_words(level: float, drawn: Collection[float]) -> str:
+    """For a legend: the thesis's names of its levels, which mislead beside others."""
+    names = {"min": "minimum level", "max": "maximum level"} if set(drawn) <= set(PULSE_LEVELS.values()) else {}
+    return names.get(level_name(level), f"level {level:g}")
 
 
 def _look(task: str, level: float) -> tuple[str, str]:
