@@ -10,7 +10,7 @@ import xarray as xr
 from armperturb.analysis.fit.maximum_likelihood import SUSPICIOUS
 from armperturb.analysis.fit.whittle import LackOfFit
 from armperturb.analysis.joint.choice import ScoredStructure, score_of, sentence_of, structures
-from armperturb.analysis.joint.estimate import JointEstimate, Profile, estimate_joint, likelihood_profile
+from armperturb.analysis.joint.estimate import JointEstimate, Profile, estimate_joint, likelihood_profiles
 from armperturb.analysis.joint.intrinsic import IntrinsicCheck, check_intrinsic
 from armperturb.analysis.joint.likelihood import Loop, environment_of, simulated_movement
 from armperturb.analysis.joint.model import LONGEST_DELAY, REFLEXES, UNITS, JointModel, JointStructure, Reflex
@@ -328,11 +328,9 @@ def _profiles(
     best: JointEstimate, signals: JointSignals, loop: Loop | None, longest_delay: float
 ) -> dict[str, Profile]:
     names = [name for name in best.structure.parameters if name.startswith("reflex_")]
-    return {
-        name: likelihood_profile(best, signals, loop, name, longest_delay=longest_delay)
-        for name in (names if loop is None else names[1:2])
-        if not best.at_bound[best.structure.parameters.index(name)]
-    }
+    free = [name for name, bound in zip(best.structure.parameters, best.at_bound, strict=True) if not bound]
+    wanted = [name for name in (names if loop is None else names[1:2]) if name in free]
+    return likelihood_profiles(best, signals, loop, wanted, longest_delay=longest_delay)
 
 
 def _remarks(
