@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 from scipy import fft, signal
 
+from armperturb.analysis.cuts import before_limit
 from armperturb.analysis.force_balance import EDGE
 from armperturb.arrays import Array
 from armperturb.convert.checks import DEGREES, LARGEST_ANGLE
@@ -62,7 +63,7 @@ def limb_inertia(recording: xr.Dataset) -> float | None:
 
     Inertia and stiffness of opposite signs show none either where stiffness is most of the load.
     """
-    x, f = (recording[name].values[..., 0] for name in ("displacement", "force"))
+    x, f = _signals(recording, "displacement", "force")
     limb = _regression(f, x, float(recording.attrs["rate"]))
     return None if limb is None or not limb.shows_inertia or limb.contradicts else limb.inertia
 
@@ -71,7 +72,7 @@ def check_joint(recording: xr.Dataset, mass: float | None = None, source: str = 
     """Refuse a recording of one axis whose signals do not belong together.
 
     Args:
-      recording: the trials.
+      recording: the trials. Those that reached the workspace limit count only if there are no others, up to the limit.
       mass: inertia that a force servo was set to [kg m^2, or kg]; None if unknown.
       source: where the recording comes from, for the message.
 
@@ -82,14 +83,15 @@ def check_joint(recording: xr.Dataset, mass: float | None = None, source: str = 
       ValueError: the limb's inertia is negative or not a joint's, or d - f does not move a virtual environment.
     """
     rate, angular = float(recording.attrs["rate"]), recording["displacement"].attrs["units"] == "rad"
-    x, f = (recording[name].values[..., 0] for name in ("displacement", "force"))
+    x, f = _signals(recording, "displacement", "force")
     unit = "kg m^2" if angular else "kg"
     limb = _regression(f, x, rate)
     if limb is None:
         _require_angles(recording, source)
         return [f"{x.shape[1] / rate:.3g} s at {rate:g} Hz are too short, or too slow, to show an inertia: unchecked"]
     if recording.attrs["servo"] == "force":
-        _require_environment(recording["perturbation"].values[..., 0] - f, x, rate, mass, unit, source)
+        (d,) = _signals(recording, "perturbation")
+        _require_environment(d - f, x, rate, mass, unit, source)
     if not limb.shows_inertia:
         _require_angles(recording, source)
         return ["the movement is too slow to show an inertia: signs and units are unchecked"]
@@ -118,6 +120,12 @@ def check_joint(recording: xr.Dataset, mass: float | None = None, source: str = 
         raise ValueError(f"{shown}; {expected} ({remedy} signals.displacement.unit)")
     _require_angles(recording, source)
     return []
+
+
+def _signals(recording: xr.Dataset, *names: str) -> tuple[Array, ...]:
+    """Signals of those trials, and up to where, they are valid, (trial, time) each."""
+    trials, n_time = before_limit(recording)
+    return tuple(recording[name].values[trials, :n_time, 0] for name in names)
 
 
 def _require_angles(recording: xr.Dataset, source: str) -> None:

@@ -20,6 +20,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 from scipy import stats
 
+from armperturb.analysis.cuts import inside_limit
 from armperturb.analysis.response.closed_loop import (
     HIGH_ORDERS,
     LEAKAGE_ORDER,
@@ -33,7 +34,7 @@ from armperturb.analysis.response.frequency_response import FrequencyResponse, S
 from armperturb.analysis.response.joint_records import admittance_of, resampled, variance_of
 from armperturb.analysis.response.local_polynomial import LocalFit, Window, fit_locally
 from armperturb.analysis.results import Description, Table, plain
-from armperturb.analysis.trials import ConditionTrials, SeveralTrials, TrialRecord, prepared_recordings
+from armperturb.analysis.trials import SeveralTrials, TrialRecord, prepared_recordings
 from armperturb.arrays import Array, ComplexArray
 from armperturb.recording import named
 from armperturb.validation import require_number
@@ -62,6 +63,7 @@ class AxisResponse(FrequencyResponse):
         (frequency,); unbiased, so that it may come out negative.
       distortion_limit: below which it stays with a probability of `LEVEL` if the limb is linear [-], (frequency,).
       p_linear: probability of as much distortion at all frequencies together if the limb is linear [-].
+      remarks: what a reader must know before trusting the response, a sentence each.
     """
 
     kind: str
@@ -70,6 +72,7 @@ class AxisResponse(FrequencyResponse):
     distortion: Array
     distortion_limit: Array
     p_linear: float
+    remarks: tuple[str, ...] = ()
 
     def describe(self) -> Description:
         """What was estimated, and its values at each frequency."""
@@ -90,6 +93,7 @@ class AxisResponse(FrequencyResponse):
             title=f"{self.kind.capitalize()} of {self.label}" if self.label else self.kind.capitalize(),
             facts=(f"{span}; gain with its 95 % limit", self.sentence),
             table=Table(("frequency [Hz]", f"gain [{self.units}]", "phase [deg]", "coherence [-]", "distortion"), rows),
+            remarks=self.remarks,
         )
 
     @property
@@ -165,7 +169,8 @@ def one_axis_response(
     """Admittance or impedance of one axis, from any movement with power where it is wanted.
 
     Args:
-      recordings: trials of one axis, of one person in one condition; their lengths may differ.
+      recordings: trials of one axis, of one person in one condition; their lengths may differ. Those that met the limit
+        of the workspace count only if there are no others, up to then.
       what: "arm" is the limb; of a force servo also "environment" (x over d - f) or "total" (x over d).
       frequency: where the response is wanted [Hz], (frequency,); None takes up to 40 of those that are excited.
       window_start: start of what is used [s].
@@ -185,7 +190,8 @@ def one_axis_response(
         raise ValueError(
             f"response: what = {what!r} on a position servo, which imposes the movement; expected arm, the limb"
         )
-    records = [resampled(record) for trials in several for record in _records(trials, window_start, imposed=imposed)]
+    inside, left_out = inside_limit([trials.recording for trials in several])
+    records = [resampled(record) for each in inside for record in _records(each, window_start, imposed=imposed)]
     spectra = [whole_window(record) for record in records]
     if frequency is None:
         wanted = _imposed_band(records) if imposed else excited_band(records)
@@ -213,29 +219,31 @@ def one_axis_response(
         covariance=variance,
         what=what,
         dof=np.array([fit.dof for fit in fits]),
-        label=named([trials.recording for trials in several]),
+        label=named(inside),
         kind="impedance" if imposed else "admittance",
         units=f"{torque}/{angle}" if imposed else f"{angle}/{torque}",
         coherence=explained / (explained + noise[:, -1, -1].real),
         distortion=distortion,
         distortion_limit=limit,
         p_linear=p_linear,
+        remarks=left_out,
     )
 
 
-def _records(trials: ConditionTrials, window_start: float, *, imposed: bool) -> list[TrialRecord]:
+def _records(recording: xr.Dataset, window_start: float, *, imposed: bool) -> list[TrialRecord]:
     """Input and output of the servo: movement and torque, or perturbation, torque and movement."""
     require_number("response", "window_start", window_start, at_least=0.0)
-    start = round(window_start * trials.rate)
-    if trials.n_samples - start < 2:
+    rate = float(recording.attrs["rate"])
+    start = round(window_start * rate)
+    if recording.sizes["time"] - start < 2:
         raise ValueError(f"response: window_start = {window_start:g} s; expected less than the record")
-    f, x = (values[:, start:] for values in (trials.force, trials.recorded_displacement))
-    inputs = x if imposed else trials.perturbation[:, start:]
+    f, x = (np.asarray(recording[name].values[:, start:], dtype=float) for name in ("force", "displacement"))
+    inputs = x if imposed else np.asarray(recording["perturbation"].values[:, start:], dtype=float)
     for name, signals in (("displacement" if imposed else "perturbation", inputs), ("force", f)):
         if np.ptp(signals, axis=1).min() == 0.0:
             raise ValueError(f"recording: {name} of a trial is constant; expected a perturbed trial (leave it out)")
     outputs = f if imposed else np.concatenate([f, x], axis=2)
-    return [TrialRecord(u, z, trials.rate) for u, z in zip(inputs, outputs, strict=True)]
+    return [TrialRecord(u, z, rate) for u, z in zip(inputs, outputs, strict=True)]
 
 
 def _imposed_band(records: Sequence[TrialRecord]) -> Array:

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import one_joint
 import pytest
+import xarray as xr
 from scipy import signal
 
 from armperturb.analysis.joint.estimate import Profile, estimate_joint, likelihood_profiles
@@ -236,6 +237,25 @@ def test_without_noise_a_force_servo_leaves_no_bias():
     fit = estimate_joint(JointStructure(reflex="linear"), signals, environment_of(signals))
     true = [getattr(person, name) for name in fit.structure.parameters]
     np.testing.assert_allclose(fit.values, true, rtol=1e-3)
+
+
+def test_what_follows_the_workspace_limit_does_not_count(recording):
+    whole = recording.isel(time=slice(0, 8000))
+    spoiled = whole.assign_coords(limit_time=("trial", [6.0], whole["limit_time"].attrs)).copy(deep=True)
+    spoiled["force"][:, 6000:] = 50.0
+    until, cut = (identify_joint(each, reflex="none") for each in (spoiled, whole.isel(time=slice(0, 6000))))
+    assert until.values == cut.values
+    assert until.remarks[0] == (
+        "all trials met the workspace limit (limit_time), and are used up to the first time that one did: 6 s"
+    )
+    again = whole.assign_coords(repetition=("trial", [1], whole["repetition"].attrs))
+    both = xr.concat([spoiled, again], "trial", combine_attrs="override")
+    assert identify_joint(both, reflex="none").remarks[0].startswith("1 of 2 trials met the workspace limit")
+    with pytest.raises(ValueError, match=r"limit_time = 0 s; expected trials that start inside"):
+        identify_joint(whole.assign_coords(limit_time=("trial", [0.0], whole["limit_time"].attrs)))
+    other = both.assign_coords(subject=("trial", ["S", "T"], whole["subject"].attrs))
+    with pytest.raises(ValueError, match=r"subject has several values \(S, T\).*--subject.*subject.values == 'S'"):
+        identify_joint(other, reflex="none")
 
 
 def test_bad_options_are_named(recording):
