@@ -118,9 +118,9 @@ def joint_verdict(result: JointIdentification) -> Verdict:
     little = ""
     if share < MOST:
         little = (
-            f"The parallel cascade accounts for {share:.1f} % of the variance of the {of} alone: what is left is taken "
-            "to be noise that has nothing to do with the perturbation. Look at what was recorded and predicted below, "
-            "and leave out what is not valid (limit_time of the sidecar)."
+            f"The cascade leaves {100.0 - share:.0f} % of the variance of the {of}: more than it explains. All of that is "
+            "taken to be noise that has nothing to do with the perturbation. Compare what was recorded and predicted "
+            "below, and leave out what is not valid (limit_time of the sidecar)."
         )
     is_wrong = ahead > CARE or (lacking and lack.chi2 > LARGE_LACKS[result.servo] * lack.dof)
     impossible = _impossible(result)

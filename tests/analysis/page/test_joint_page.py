@@ -63,7 +63,7 @@ def test_a_joint_that_leaves_more_than_it_explains_is_used_with_care(result):
     little = replace(result, vaf=result.vaf | {"total": 18.0})
     said = joint_verdict(ahead(little, 0.0))
     assert said.level == "care"
-    assert "18.0 % of the variance of the torque alone" in said.text
+    assert "leaves 82 % of the variance of the torque" in said.text
     moved = on_force_servo(replace(result, vaf=result.vaf | {"total": 18.0, "movement": 90.0}))
     assert joint_verdict(moved).level == "trust"
 
