@@ -105,9 +105,7 @@ def check_joint(recording: xr.Dataset, mass: float | None = None, source: str = 
         _require_environment(d - f, x, rate, mass, unit, source)
     if limb.is_sine:
         _require_angles(recording, source)
-        return [
-            "the movement is nearly a sine, of which inertia and stiffness are one quantity: signs and units are unchecked"
-        ]
+        return ["the movement is nearly a sine, which does not show inertia: signs and units are unchecked"]
     if not limb.shows_inertia:
         _require_angles(recording, source)
         return ["the movement is too slow to show an inertia: signs and units are unchecked"]

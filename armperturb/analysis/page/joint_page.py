@@ -28,8 +28,7 @@ which takes two thirds of the inertia, lacks 11.
 """
 
 MOST = 50.0
-"""VAF below which parameters are to be used with care whatever else there is to say: more is left than is explained [%].
-"""
+"""VAF below which more is left than is explained, and parameters are to be used with care [%]."""
 
 RESOLUTION = 5
 """Lines of a spectrum with a Hann window over which one frequency spreads."""
@@ -118,8 +117,8 @@ def joint_verdict(result: JointIdentification) -> Verdict:
     little = ""
     if share < MOST:
         little = (
-            f"The cascade leaves {100.0 - share:.0f} % of the variance of the {of}: more than it explains. All of that is "
-            "taken to be noise that has nothing to do with the perturbation. Compare what was recorded and predicted "
+            f"The cascade leaves {100.0 - share:.0f} % of the variance of the {of}, more than it explains. All of that "
+            "is taken to be noise that has nothing to do with the perturbation. Compare what was recorded and predicted "
             "below, and leave out what is not valid (limit_time of the sidecar)."
         )
     is_wrong = ahead > CARE or (lacking and lack.chi2 > LARGE_LACKS[result.servo] * lack.dof)

@@ -124,8 +124,8 @@ def identify_varying(
 
     Args:
       recording: of one axis on a position servo, of one person in one condition: repetitions with different
-        perturbations of the same course of parameters, or, for "scheduling", any trials with a scheduling signal. Trials
-        that met the limit of the workspace count only if there are no others, up to then.
+        perturbations of the same course of parameters, or, for "scheduling", any trials with a scheduling signal.
+        Trials that met the limit of the workspace count only if there are no others, up to then.
       variable: what parameters depend on.
       reflex: "none", "linear" or "half-wave", whose direction left-out data choose; None to let them choose among all.
       fit_until: time from which on samples are held out [s]; None fits all.
