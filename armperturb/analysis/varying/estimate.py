@@ -128,7 +128,7 @@ def identify_varying(
         Trials that met the limit of the workspace count only if there are no others, up to then.
       variable: what parameters depend on.
       reflex: "none", "linear" or "half-wave", whose direction left-out data choose; None to let them choose among all.
-      fit_until: time from which on samples are held out [s]; None fits all.
+      fit_until: time from which on samples are held out [s]; None fits all, as for "time" it must.
       n_points: of the curves.
 
     Raises:
@@ -143,6 +143,11 @@ def identify_varying(
     last = float(recording["time"].values[-1])
     require_number("identify_varying", "fit_until", fit_until, above=0.0, at_most=last, optional=True)
     ensemble, rate = variable == "time", float(recording.attrs["rate"])
+    if ensemble and fit_until is not None:
+        raise ValueError(
+            f"identify_varying: fit_until = {fit_until:g} with variable = 'time'; expected None, as nothing is known of "
+            "parameters at times that are not fitted (variable = 'scheduling' holds out samples)"
+        )
     fitted = recording if fit_until is None else recording.isel(time=slice(0, round(fit_until * rate)))
     reference = mean_angle(fitted)
     signals, place = _recorded(fitted, ensemble, reference)

@@ -224,6 +224,8 @@ def test_bad_input_is_refused():
         identify_varying(good.assign_coords(condition=("trial", ["PT", "PT", "RT", "RT"])))
     with pytest.raises(ValueError, match="servo = 'force'"):
         identify_varying(recorded(angle, torque, servo="force", perturbation=torque))
+    with pytest.raises(ValueError, match=r"fit_until = 0.5 with variable = 'time'; expected None.*'scheduling'"):
+        identify_varying(good, fit_until=0.5)
     with pytest.raises(ValueError, match="reflex = 'cubic'"):
         identify_varying(good, reflex="cubic")
     with pytest.raises(ValueError, match="angle of a trial is constant"):
