@@ -118,8 +118,8 @@ def joint_verdict(result: JointIdentification) -> Verdict:
     if share < MOST:
         little = (
             f"The cascade leaves {100.0 - share:.0f} % of the variance of the {of}, more than it explains. All of that "
-            "is taken to be noise that has nothing to do with the perturbation. Compare what was recorded and predicted "
-            "below, and leave out what is not valid (limit_time of the sidecar)."
+            "is taken to be noise that has nothing to do with the perturbation. Compare what was recorded and what is "
+            "predicted below, and leave out what is not valid (limit_time of the sidecar)."
         )
     is_wrong = ahead > CARE or (lacking and lack.chi2 > LARGE_LACKS[result.servo] * lack.dof)
     impossible = _impossible(result)

@@ -32,7 +32,7 @@ from armperturb.analysis.response.closed_loop import (
 )
 from armperturb.analysis.response.frequency_response import FrequencyResponse, System, require_frequencies
 from armperturb.analysis.response.joint_records import admittance_of, resampled, variance_of
-from armperturb.analysis.response.local_polynomial import LocalFit, Window, fit_locally
+from armperturb.analysis.response.local_polynomial import DependentDisturbancesError, LocalFit, Window, fit_locally
 from armperturb.analysis.results import Description, Table, plain
 from armperturb.analysis.trials import SeveralTrials, TrialRecord, prepared_recordings
 from armperturb.arrays import Array, ComplexArray
@@ -177,8 +177,8 @@ def one_axis_response(
       order: of the response's polynomial; by default 2, or up to 5 where that fits clearly better.
 
     Raises:
-      ValueError: a recording is not of one axis, what is not there on a position servo, a signal is constant, or
-        records are too short.
+      ValueError: a recording is not of one axis, what is not there on a position servo, a signal is constant or has
+        power at too few frequencies, or records are too short.
     """
     require_number("one_axis_response", "order", order, at_least=0, optional=True)
     several = prepared_recordings(recordings)
@@ -199,11 +199,19 @@ def one_axis_response(
         wanted = require_frequencies(frequency, records[0].rate)
     orders: tuple[int, ...] = HIGH_ORDERS if order is None else (order,)
     fits, power = [], []
-    for centre in wanted.tolist():
-        windows = lines_around(spectra, centre, orders[0])
-        fits.append(fit_near(windows, centre, orders))
-        lines = np.concatenate([window.perturbation for window in windows])
-        power.append(float(np.mean(np.abs(lines) ** 2)))
+    try:
+        for centre in wanted.tolist():
+            windows = lines_around(spectra, centre, orders[0])
+            fits.append(fit_near(windows, centre, orders))
+            lines = np.concatenate([window.perturbation for window in windows])
+            power.append(float(np.mean(np.abs(lines) ** 2)))
+        distortion, limit, p_linear = _distortion(records, spectra, wanted, fits, imposed=imposed)
+    except DependentDisturbancesError as error:
+        raise ValueError(
+            f"response: the {'movement' if imposed else 'perturbation'} has power at too few frequencies near "
+            f"{error.frequency:.3f} Hz; expected a band of frequencies, as of random steps or noise (a response at "
+            "single tones cannot be separated from transients)"
+        ) from None
     joint, noise = np.array([fit.answer for fit in fits]), np.array([fit.noise for fit in fits])
     spread = np.array([fit.factor for fit in fits])
     if imposed:
@@ -211,7 +219,6 @@ def one_axis_response(
     else:
         values, variance = admittance_of(what, joint), variance_of(what, joint, noise, spread)
     explained = np.array(power) * np.abs(joint[:, -1, 0]) ** 2
-    distortion, limit, p_linear = _distortion(records, spectra, wanted, fits, imposed=imposed)
     torque, angle = (str(first[name].attrs["units"]) for name in ("force", "displacement"))
     return AxisResponse(
         frequency=wanted,

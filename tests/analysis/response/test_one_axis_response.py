@@ -96,3 +96,10 @@ def test_what_follows_the_workspace_limit_does_not_count():
     np.testing.assert_array_equal(until.response, cut.response)
     assert "are used up to the first time that one did: 9 s" in until.summary()
     assert not cut.remarks
+
+
+def test_a_sine_is_named():
+    recording = one_joint.recording(one_joint.person("ankle", 3, "none"), 3, duration=12.0)
+    tone = 0.05 * np.sin(2.0 * np.pi * 2.0 * recording["time"].values)
+    with pytest.raises(ValueError, match=r"the movement has power at too few frequencies near .* expected a band"):
+        ap.response(recording.assign(displacement=recording["displacement"].copy(data=tone[None, :, None])))
