@@ -145,8 +145,8 @@ def identify_varying(
     ensemble, rate = variable == "time", float(recording.attrs["rate"])
     if ensemble and fit_until is not None:
         raise ValueError(
-            f"identify_varying: fit_until = {fit_until:g} with variable = 'time'; expected None, as nothing is known of "
-            "parameters at times that are not fitted (variable = 'scheduling' holds out samples)"
+            f"identify_varying: fit_until = {fit_until:g} with variable = 'time'; expected None, as nothing is known "
+            "of parameters at times that are not fitted (variable = 'scheduling' holds out samples)"
         )
     fitted = recording if fit_until is None else recording.isel(time=slice(0, round(fit_until * rate)))
     reference = mean_angle(fitted)
