@@ -138,6 +138,17 @@ def test_a_reflex_that_looks_like_inertia_of_the_other_sign_refuses_no_slow_move
     assert import_recording([kept]).notes == (f"{kept}: {note}",)
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+@pytest.mark.parametrize("body", ["hand", "handle"])
+def test_a_sine_shows_no_sign_of_force(tmp_path, body, noise):
+    time, s = np.arange(round(12 * RATE)) / RATE, 2j * np.pi * 3.0
+    tone = 0.05 * np.exp(s * time)
+    angle = tone.real + noise * np.random.default_rng(3).normal(size=len(time))
+    torque = -((INERTIA * s**2 + 0.6 * s + 40.0) * tone).real
+    notes = import_recording([files(tmp_path, angle, torque, sidecar=changed(signals__force__exerted_by=body))]).notes
+    assert any("nearly a sine" in note and "unchecked" in note for note in notes)
+
+
 def test_a_constant_angle_and_a_saturated_torque_are_named(tmp_path):
     angle, torque = ankle()
     with pytest.raises(ValueError, match=r"angle_rad \(displacement\) is constant at 0.1"):

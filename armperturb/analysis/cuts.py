@@ -1,7 +1,7 @@
 """Where trials of a recording are cut: at the pulse, at the workspace limit, by condition."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -46,6 +46,44 @@ def limit_samples(recording: xr.Dataset) -> Array:
     return np.where(np.isnan(limit), np.inf, limit)
 
 
+def before_limit(recording: xr.Dataset) -> tuple[list[int], int]:
+    """Trials that never met the workspace limit, and all samples; or all trials, and the samples before any met it."""
+    limit, n_time = limit_samples(recording), recording.sizes["time"]
+    inside = np.flatnonzero(limit >= n_time).tolist()
+    return (inside, n_time) if inside else (list(range(len(limit))), int(limit.min()))
+
+
+def inside_limit(recordings: Sequence[xr.Dataset]) -> tuple[list[xr.Dataset], tuple[str, ...]]:
+    """Trials that never met the workspace limit; or, if all did, the samples of each recording before any met it.
+
+    Returns:
+      Recordings that have such trials, and a remark on what was left out; none where nothing was.
+
+    Raises:
+      ValueError: all trials met the limit, and one did so from the start.
+    """
+    parts = [before_limit(recording) for recording in recordings]
+    n_trials = sum(recording.sizes["trial"] for recording in recordings)
+    pairs = list(zip(recordings, parts, strict=True))
+    inside = [(recording, trials) for recording, (trials, n) in pairs if n == recording.sizes["time"]]
+    n_left_out = n_trials - sum(len(trials) for _, trials in inside)
+    if not n_left_out:
+        return list(recordings), ()
+    met = "met the workspace limit (limit_time)"
+    if inside:
+        said = f"{n_left_out} of {n_trials} trials {met} and are left out"
+        return [recording.isel(trial=trials) for recording, trials in inside], (said,)
+    until = [n / float(recording.attrs["rate"]) for recording, (_, n) in pairs]
+    if min(n for _, n in parts) < 2:
+        raise ValueError(
+            f"recording: limit_time = {min(until):g} s; expected trials that start inside the workspace (leave them "
+            "out, or labels.limit_time of the sidecar)"
+        )
+    ends = ", ".join(dict.fromkeys(f"{end:.4g}" for end in until))
+    before = [recording.isel(time=slice(0, n)) for recording, (_, n) in pairs]
+    return before, (f"all trials {met}, and are used up to the first time that one did: {ends} s",)
+
+
 def of_condition(recording: xr.Dataset, condition: str) -> xr.Dataset:
     """Trials of the condition of that name; no copy where all are."""
     of = recording["condition"].values == condition
@@ -67,10 +105,11 @@ def one_condition(recordings: Iterable[xr.Dataset]) -> dict[str, Any]:
         values = [value for recording in several for value in recording[name].values.tolist() if value == value]
         distinct = list(dict.fromkeys(values))
         if len(distinct) > 1:
-            choose = f" (choose a {CHOSEN_BY[name]})" if name in CHOSEN_BY else ""
+            option, first = CHOSEN_BY.get(name), distinct[0]
+            choose = f" (choose a {option}; in Python, recording.isel(trial=recording.{name}.values == {first!r}))"
             raise ValueError(
                 f"recording: {name} has several values ({', '.join(map(str, distinct))}); expected the trials of one "
-                f"person in one condition and posture{choose}"
+                f"person in one condition and posture{choose if option else ''}"
             )
         shared[name] = distinct[0] if distinct else math.nan
     return shared

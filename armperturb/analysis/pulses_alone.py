@@ -22,11 +22,11 @@ def used_whole(several: Sequence[ConditionTrials]) -> list[ConditionTrials]:
       several: trials, those of one length together.
     """
     return [
-        trials
-        if trials.is_perturbed(0.0) or trials.first_onset == trials.n_samples
-        else ConditionTrials.prepare(
+        ConditionTrials.prepare(
             trials.recording.assign_coords(pulse_onset=("trial", np.full(trials.n_trials, np.nan))), is_checked=True
         )
+        if _has_pulses_alone(trials)
+        else trials
         for trials in several
     ]
 
@@ -47,3 +47,9 @@ def fitted_whole(several: Sequence[ConditionTrials]) -> list[ConditionTrials]:
                 "arx takes earlier ones)"
             )
     return whole
+
+
+def _has_pulses_alone(trials: ConditionTrials) -> bool:
+    """Whether every trial has a pulse, before which nothing changes."""
+    before = (d[:end] for d, end in zip(trials.perturbation, trials.onset, strict=True))
+    return bool((trials.onset < trials.n_samples).all()) and not any(len(d) and np.ptp(d, axis=0).any() for d in before)

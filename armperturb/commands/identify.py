@@ -38,9 +38,10 @@ RESULTS = (
 
 OF_A_STRUCTURE = ("free", "fix", "bounds", "tie", "prior")
 OF_LINEAR_MODELS = ("estimator", "share", "lines_per_average", "body", *OF_A_STRUCTURE)
-OF_ARMS = ("emg", "emg_delay")
 OF_THE_NONLINEAR_MODEL = ("law", "pulses")
 OF_THE_JOINT_MODEL = ("reflex", "short_range", "fit_until", "longest_delay")
+
+NO_EMG = "EMG is not used: the joint model takes torque and angle alone; the movement alone is used"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,8 +99,8 @@ class Identify(Command):
     """Parameters that are the same in all conditions, e.g. mass grip k_s; with maximum likelihood only."""
     emg: bool = False
     """Use EMG as well: of reflexes it tells more than the movement. Trials of a condition MVC, a maximal contraction,
-    are what amplitudes are relative to. Where EMG is missing or cannot be used, the movement alone is. The nonlinear
-    model then estimates the delay of reflexes too."""
+    are what amplitudes are relative to. Where EMG is missing or cannot be used, as of one axis, the movement alone is.
+    The nonlinear model then estimates the delay of reflexes too."""
     emg_delay: tuple[float, float] = (0.0, 0.0)
     """Mean and standard deviation of the time by which muscles answer later than their EMG, beyond the activation
     dynamics [s]; with --emg. What neural and electromechanical delay add up to is all that a movement tells. With the
@@ -153,6 +154,7 @@ class Identify(Command):
             raise ValueError(f"{self.out} is a file; expected a folder, or a new name for one")
         try:
             if kind == "joint":
+                notes += [NO_EMG] * self.emg
                 lines = self._identify_joint(recordings, notes)
             elif kind == "nonlinear":
                 lines = self._identify_nonlinear(recordings, notes)
@@ -169,7 +171,6 @@ class Identify(Command):
         others = {name: kind for kind, names in of_models.items() if kind not in models for name in names}
         if not {*models} - {*of_models}:
             others |= dict.fromkeys(OF_LINEAR_MODELS, "") if "joint" not in models or len(models) == 1 else {}
-            others |= dict.fromkeys(OF_ARMS, "") if models == ("joint",) else {}
         for field in fields(self):
             value = getattr(self, field.name)
             if field.name in others and value != field.default:

@@ -100,7 +100,8 @@ class Response(Command):
         except ValueError as error:
             raise ValueError(f"{', '.join(map(str, self.recordings))}: {error}") from None
         self._write({"response": estimate, "distortion": None}, str(recordings[0]["condition"].values[0]))
-        return [estimate.describe().title, *estimate.describe().facts]
+        said = estimate.describe()
+        return [said.title, *said.facts, *said.remarks]
 
     def _write(self, results: "dict[str, FrequencyResponse | BestLinear | None]", condition: str) -> None:
         """Write tables and figures; an earlier run may have left what there is no result of."""

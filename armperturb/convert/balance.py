@@ -16,6 +16,7 @@ import numpy as np
 import xarray as xr
 from scipy import fft, signal
 
+from armperturb.analysis.cuts import before_limit
 from armperturb.analysis.force_balance import EDGE, Balance
 from armperturb.analysis.imbalance import Imbalance, inner_products, signal_row
 from armperturb.arrays import Array
@@ -86,7 +87,7 @@ def check_balance(
     """
     rate = float(recording.attrs["rate"])
     grams = require_signs(recording, names, source)
-    trials, n_time = _before_limit(recording, rate)
+    trials, n_time = before_limit(recording)
     d, f, x = (recording[name].values[trials, :n_time] for name in REQUIRED_SIGNALS)
     if grams is None:
         return [
@@ -126,7 +127,7 @@ def require_handle(recording: xr.Dataset, source: str = "recording") -> None:
       ValueError: the mass is too small or too large.
     """
     rate = float(recording.attrs["rate"])
-    trials, n_time = _before_limit(recording, rate)
+    trials, n_time = before_limit(recording)
     d, f, x = (recording[name].values[trials, :n_time] for name in REQUIRED_SIGNALS)
     try:
         with np.errstate(all="ignore"):
@@ -163,7 +164,7 @@ def require_signs(recording: xr.Dataset, names: Sequence[str] = (), source: str 
     """
     rate = float(recording.attrs["rate"])
     names = names or [f"trial {trial + 1}" for trial in range(recording.sizes["trial"])]
-    trials, n_time = _before_limit(recording, rate)
+    trials, n_time = before_limit(recording)
     if n_time < 10 * round(EDGE * rate) or rate < SLOWEST:
         return None
     d, f, x = (recording[name].values[trials, :n_time] for name in REQUIRED_SIGNALS)
@@ -179,15 +180,6 @@ def require_signs(recording: xr.Dataset, names: Sequence[str] = (), source: str 
                 f"the hand), as it would if {remedy}"
             )
     return grams
-
-
-def _before_limit(recording: xr.Dataset, rate: float) -> tuple[list[int], int]:
-    """Trials that never reached the limit, and all samples; or all trials, and the samples before any reached it."""
-    limit, n_time = recording["limit_time"].values, recording.sizes["time"]
-    free = np.flatnonzero(np.isnan(limit)).tolist()
-    if free:
-        return free, n_time
-    return list(range(len(limit))), min(n_time, int(np.min(limit) * rate))
 
 
 def _in_numbers(explained: _Explained) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 from scipy import fft, signal
 
+from armperturb.analysis.cuts import before_limit
 from armperturb.analysis.force_balance import EDGE
 from armperturb.arrays import Array
 from armperturb.convert.checks import DEGREES, LARGEST_ANGLE
@@ -25,6 +26,10 @@ SEGMENT = 2.0
 SURE = 6.0
 """Inertia over its standard error from which on its sign and size are judged [-]."""
 
+APART = 0.01
+"""One less the squared correlation of acceleration and displacement below which inertia and stiffness are one quantity.
+It is nothing of a sine, 0.002 of one with noise of 1 % of its size, and 0.04 of tones at 4 and 5 Hz [-]."""
+
 TOO_MUCH = 0.5
 """Share of d - f that a virtual environment may leave unexplained [-]."""
 
@@ -38,6 +43,7 @@ class Regression(NamedTuple):
       stiffness: [Nm/rad], or [N/m].
       inertial: RMS of what inertia makes of the load, over that of what stiffness does [-].
       left: unexplained share of the load [-].
+      apart: one less the squared correlation of acceleration and displacement [-].
     """
 
     inertia: float
@@ -45,11 +51,17 @@ class Regression(NamedTuple):
     stiffness: float
     inertial: float
     left: float
+    apart: float
+
+    @property
+    def is_sine(self) -> bool:
+        """Whether the movement is so nearly a sine that inertia and stiffness are one quantity."""
+        return self.apart < APART
 
     @property
     def shows_inertia(self) -> bool:
-        """Whether the inertia is larger than its error."""
-        return abs(self.inertia) >= SURE * self.standard_error
+        """Whether the inertia can be known, and is larger than its error."""
+        return not self.is_sine and abs(self.inertia) >= SURE * self.standard_error
 
     @property
     def contradicts(self) -> bool:
@@ -62,7 +74,7 @@ def limb_inertia(recording: xr.Dataset) -> float | None:
 
     Inertia and stiffness of opposite signs show none either where stiffness is most of the load.
     """
-    x, f = (recording[name].values[..., 0] for name in ("displacement", "force"))
+    x, f = _signals(recording, "displacement", "force")
     limb = _regression(f, x, float(recording.attrs["rate"]))
     return None if limb is None or not limb.shows_inertia or limb.contradicts else limb.inertia
 
@@ -71,7 +83,7 @@ def check_joint(recording: xr.Dataset, mass: float | None = None, source: str = 
     """Refuse a recording of one axis whose signals do not belong together.
 
     Args:
-      recording: the trials.
+      recording: the trials. Those that reached the workspace limit count only if there are no others, up to the limit.
       mass: inertia that a force servo was set to [kg m^2, or kg]; None if unknown.
       source: where the recording comes from, for the message.
 
@@ -82,14 +94,18 @@ def check_joint(recording: xr.Dataset, mass: float | None = None, source: str = 
       ValueError: the limb's inertia is negative or not a joint's, or d - f does not move a virtual environment.
     """
     rate, angular = float(recording.attrs["rate"]), recording["displacement"].attrs["units"] == "rad"
-    x, f = (recording[name].values[..., 0] for name in ("displacement", "force"))
+    x, f = _signals(recording, "displacement", "force")
     unit = "kg m^2" if angular else "kg"
     limb = _regression(f, x, rate)
     if limb is None:
         _require_angles(recording, source)
         return [f"{x.shape[1] / rate:.3g} s at {rate:g} Hz are too short, or too slow, to show an inertia: unchecked"]
     if recording.attrs["servo"] == "force":
-        _require_environment(recording["perturbation"].values[..., 0] - f, x, rate, mass, unit, source)
+        (d,) = _signals(recording, "perturbation")
+        _require_environment(d - f, x, rate, mass, unit, source)
+    if limb.is_sine:
+        _require_angles(recording, source)
+        return ["the movement is nearly a sine, which does not show inertia: signs and units are unchecked"]
     if not limb.shows_inertia:
         _require_angles(recording, source)
         return ["the movement is too slow to show an inertia: signs and units are unchecked"]
@@ -120,6 +136,12 @@ def check_joint(recording: xr.Dataset, mass: float | None = None, source: str = 
     return []
 
 
+def _signals(recording: xr.Dataset, *names: str) -> tuple[Array, ...]:
+    """Signals of those trials, and up to where, they are valid, (trial, time) each."""
+    trials, n_time = before_limit(recording)
+    return tuple(recording[name].values[trials, :n_time, 0] for name in names)
+
+
 def _require_angles(recording: xr.Dataset, source: str) -> None:
     largest = float(np.abs(recording["displacement"].values).max())
     if recording["displacement"].attrs["units"] == "rad" and largest > LARGEST_ANGLE:
@@ -135,12 +157,12 @@ def _require_environment(load: Array, x: Array, rate: float, mass: float | None,
     if moved is None:
         return
     what = f"its inertia comes out at {moved.inertia:.3g} {unit}, and {moved.left:.2g} of the load is left unexplained"
-    if moved.left > TOO_MUCH or moved.inertia <= 0.0:
+    if moved.left > TOO_MUCH or (moved.inertia <= 0.0 and not moved.is_sine):
         raise ValueError(
             f"{source}: d - f does not move an inertia, damper and spring ({what}); expected the perturbation of a "
             "virtual environment (servo = position for an imposed movement; signals.force.exerted_by the other?)"
         )
-    if mass is not None and not mass / 1.5 <= moved.inertia <= 1.5 * mass:
+    if mass is not None and not moved.is_sine and not mass / 1.5 <= moved.inertia <= 1.5 * mass:
         raise ValueError(
             f"{source}: d - f moves an inertia of {moved.inertia:.4g} {unit}; expected {mass:.4g} {unit} as "
             "environment.m_env of the sidecar says (a wrong unit of displacement, or of both forces?)"
@@ -180,4 +202,5 @@ def _regression(load: Array, x: Array, rate: float) -> Regression | None:
     left = float((gram[0, 0] - weights @ gram[1:, 0]) / gram[0, 0])
     inertial, _, elastic = np.abs(weights) * np.sqrt(np.diag(gram)[1:])
     ratio = float(inertial / max(elastic, np.finfo(float).tiny))
-    return Regression(float(weights[0]), float(np.sqrt(covariance[0, 0])), float(weights[2]), ratio, left)
+    apart = float(1.0 - gram[1, 3] ** 2 / (gram[1, 1] * gram[3, 3]))
+    return Regression(float(weights[0]), float(np.sqrt(covariance[0, 0])), float(weights[2]), ratio, left, apart)

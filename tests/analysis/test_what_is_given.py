@@ -41,9 +41,9 @@ ANY = (*ONE_CONDITION, ap.identify_conditions, ap.stack_trials)
 @pytest.mark.parametrize(
     ("name", "values", "message"),
     [
-        ("subject", ["Ann", "Bob"], r"\(Ann, Bob\); expected .* \(choose a --subject\)"),
-        ("task", ["PT", "RT"], r"\(PT, RT\); expected .* \(choose a --condition\)"),
-        ("condition", ["PT7.5", "PT22.5"], r"\(PT7.5, PT22.5\); expected .* \(choose a --condition\)"),
+        ("subject", ["Ann", "Bob"], r"\(Ann, Bob\); expected .* \(choose a --subject;.*"),
+        ("task", ["PT", "RT"], r"\(PT, RT\); expected .* \(choose a --condition;.*"),
+        ("condition", ["PT7.5", "PT22.5"], r"\(PT7.5, PT22.5\); expected .* \(choose a --condition;.*"),
         ("theta_e_deg", [80.0, 95.0], r"\(80.0, 95.0\); expected .* posture$"),
     ],
 )

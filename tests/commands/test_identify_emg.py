@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import one_joint
 import pandas as pd
 import pytest
 from test_cli import refused, run
@@ -130,6 +131,14 @@ def test_wrong_emg_does_not_keep_the_movement_from_being_identified(text, tmp_pa
     # What is not asked for is not looked at.
     recordings, _ = select_trials([tmp_path / "person.csv"], sidecar, None, None, single_condition=True)
     assert "emg" not in recordings[0]
+
+
+@pytest.mark.parametrize("model", [(), ("--model", "joint")])
+def test_of_one_axis_the_movement_alone_is_used(tmp_path, capsys, model):
+    save_recording(one_joint.recording(one_joint.person("ankle", 3, "none"), 3, duration=8.0), tmp_path / "ankle.nc")
+    assert run("identify", tmp_path / "ankle.nc", *model, "--reflex", "none", "--emg", "--out", tmp_path / "o") == 0
+    assert "EMG is not used: the joint model" in capsys.readouterr().out
+    assert "EMG is not used: the joint model" in (tmp_path / "o" / "identify.html").read_text()
 
 
 @pytest.mark.slow(reason="simulates three trials with EMG")

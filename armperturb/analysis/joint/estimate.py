@@ -1,6 +1,7 @@
 """Maximum-likelihood estimate of a joint with one structure, and profiles of its likelihood."""
 
 import itertools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -57,6 +58,12 @@ PROFILE_RISE = 6.6
 MOST_STEPS = 8
 """Points to either side."""
 
+ELSEWHERE = (-0.3, -0.1, 0.1, 0.3)
+"""Thresholds at which the profile of the threshold is taken besides, over the RMS velocity [-]."""
+
+PROMISING = 0.2
+"""Rise that a start elsewhere must promise to save for a search from it [-]."""
+
 
 class JointEstimate(NamedTuple):
     """Maximum of the likelihood of one structure.
@@ -104,8 +111,9 @@ class Profile(NamedTuple):
         least = int(np.argmin(self.rise))
         ends = []
         for side in (slice(least, None, -1), slice(least, None)):
-            root, value = np.maximum.accumulate(np.sqrt(self.rise[side])), self.values[side]
-            end = float(np.interp(half, root, value))
+            root, value = np.sqrt(self.rise[side]), self.values[side]
+            last = int(np.flatnonzero(root <= half)[-1])  # a likelihood may have two maxima: the outermost counts
+            end = float(np.interp(half, root[last : last + 2], value[last : last + 2]))
             if half > root[-1] > 0.0:
                 end = float(value[0] + (value[-1] - value[0]) * half / root[-1])
             ends.append(float(np.clip(end, *self.bounds)))
@@ -142,51 +150,103 @@ def estimate_joint(
     return JointEstimate(structure, values, covariance, at_bound, objective, loss, converged, lack)
 
 
-def likelihood_profile(
-    fit: JointEstimate, signals: JointSignals, loop: Loop | None, name: str, *, longest_delay: float = LONGEST_DELAY
-) -> Profile:
-    """Rise of the sum of squares with one parameter held at values about its estimate, and the others estimated.
+def likelihood_profiles(
+    fit: JointEstimate,
+    signals: JointSignals,
+    loop: Loop | None,
+    names: Sequence[str],
+    *,
+    longest_delay: float = LONGEST_DELAY,
+) -> dict[str, Profile]:
+    """Rise of the sum of squares with each parameter held at values about its estimate, and the others estimated.
 
     On a force servo it is that of the movement, which a nonlinear reflex makes slightly less efficient than
     instruments. The noise is that of the estimate, so that differences are those of chi squared with one degree of
     freedom.
 
+    The likelihood of a threshold may have two maxima, either side of the velocity at which a movement rests. Its
+    profile is therefore taken at a few more thresholds, and other parameters are searched again from its points where
+    these promise less of a rise.
+
     Args:
       fit: of the joint.
       signals: of the trials it was fitted to.
       loop: the virtual environment of a force servo; None of a position servo.
-      name: of the parameter, which has a standard error.
+      names: of the parameters, which have a standard error.
       longest_delay: of the reflex [s].
     """
     likelihood = JointLikelihood(fit.structure, signals, loop)
     likelihood.weigh(fit.values)
-    place = fit.structure.parameters.index(name)
-    others = np.arange(len(fit.values)) != place
-    lower, upper = fit.structure.bounds(signals, longest_delay)
-    bounds = float(lower[place]), float(upper[place])
+    profiles: dict[str, Profile] = {}
+    along: list[_Point] = []
+    for name in sorted(names, key=lambda name: name != THRESHOLD):
+        place = fit.structure.parameters.index(name)
+        points, bounds = _profiled(likelihood, fit, place, along, longest_delay)
+        rise = np.array([point.cost for point in points])
+        profiles[name] = Profile(np.array([point.values[place] for point in points]), rise - rise.min(), bounds)
+        if name == THRESHOLD:
+            along = points
+    return {name: profiles[name] for name in names}
 
-    def fitted(at: float, start: Array) -> tuple[Array, float]:
+
+class _Point(NamedTuple):
+    """What a profile has where it was taken: all parameters, (parameter,), and the sum of squares."""
+
+    values: Array
+    cost: float
+
+
+def _profiled(
+    likelihood: JointLikelihood, fit: JointEstimate, place: int, along: Sequence[_Point], longest_delay: float
+) -> tuple[list[_Point], tuple[float, float]]:
+    """Points of the profile of one parameter, in its order, and the parameter's bounds.
+
+    Args:
+      likelihood: with the noise of the estimate.
+      fit: the estimate.
+      place: of the parameter.
+      along: points of the threshold's profile; none without.
+      longest_delay: of the reflex [s].
+    """
+    others = np.arange(len(fit.values)) != place
+    lower, upper = fit.structure.bounds(likelihood.signals, longest_delay)
+    bounds = float(lower[place]), float(upper[place])
+    variance = float(fit.covariance[place, place])
+    estimate, error, given = float(fit.values[place]), float(np.sqrt(variance)), variance
+    if along:
+        given -= float(fit.covariance[place, -1] ** 2 / fit.covariance[-1, -1])  # with the threshold held
+
+    def fitted(at: float, start: Array) -> _Point:
         values = start.copy()
         values[place] = at
         values = _minimised(likelihood, values, longest_delay, others)
         left = likelihood.output_rows(values, likelihood.movement(values)) * likelihood.sure
-        return values, float(np.sum(left**2))
+        return _Point(values, float(np.sum(left**2)))
 
-    estimate, error = float(fit.values[place]), float(np.sqrt(fit.covariance[place, place]))
-    centre, least = fitted(estimate, fit.values)
-    points = {estimate: least}
+    def lowest(at: float, start: Array) -> _Point:
+        point = fitted(at, start)
+        promised = [each.cost + (at - each.values[place]) ** 2 / given for each in along]
+        if along and min(promised) < point.cost - PROMISING:
+            point = min(point, fitted(at, along[int(np.argmin(promised))].values), key=lambda each: each.cost)
+        return point
+
+    centre = fitted(estimate, fit.values)
+    points, beyond = [centre], np.empty(0)
+    if fit.structure.parameters[place] == THRESHOLD:
+        beyond = (np.array(ELSEWHERE) * likelihood.signals.velocity_scale - estimate) / error
     for side, bound in zip((-1.0, 1.0), bounds, strict=True):
-        values, steps = centre, list(PROFILE_STEPS)
+        point = centre
+        steps = [*PROFILE_STEPS, *sorted((side * beyond)[side * beyond > PROFILE_STEPS[-1]].tolist())]
+        most = MOST_STEPS + len(steps) - len(PROFILE_STEPS)
         for step in steps:
             at = max(estimate - step * error, bound) if side < 0.0 else min(estimate + step * error, bound)
-            values, points[at] = fitted(at, values)
+            point = lowest(at, point.values)
+            points.append(point)
             if at == bound:
                 break
-            if step == steps[-1] and points[at] - least < PROFILE_RISE and len(steps) < MOST_STEPS:
+            if step == steps[-1] and point.cost - centre.cost < PROFILE_RISE and len(steps) < most:
                 steps.append(1.5 * step)
-    held = np.array(sorted(points))
-    rise = np.array([points[at] for at in held])
-    return Profile(held, rise - rise.min(), bounds)
+    return sorted(points, key=lambda each: float(each.values[place])), bounds
 
 
 def _starts(structure: JointStructure, signals: JointSignals, longest_delay: float) -> list[Array]:

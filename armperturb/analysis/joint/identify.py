@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import xarray as xr
 
+from armperturb.analysis.cuts import inside_limit, one_condition
 from armperturb.analysis.fit.maximum_likelihood import SUSPICIOUS
 from armperturb.analysis.fit.whittle import LackOfFit
 from armperturb.analysis.joint.choice import ScoredStructure, score_of, sentence_of, structures
-from armperturb.analysis.joint.estimate import JointEstimate, Profile, estimate_joint, likelihood_profile
+from armperturb.analysis.joint.estimate import JointEstimate, Profile, estimate_joint, likelihood_profiles
 from armperturb.analysis.joint.intrinsic import IntrinsicCheck, check_intrinsic
 from armperturb.analysis.joint.likelihood import Loop, environment_of, simulated_movement
 from armperturb.analysis.joint.model import LONGEST_DELAY, REFLEXES, UNITS, JointModel, JointStructure, Reflex
@@ -194,6 +195,7 @@ def identify_joint(
 
     Args:
       recording: trials of one axis, of one person in one condition. Short segments and ensembles are taken as they are.
+        Trials that met the limit of the workspace count only if there are no others, up to then.
       reflex: "none", "linear" or "half-wave"; None to let left-out data choose.
       short_range: whether the intrinsic path has short-range stiffness.
       fit_until: time up to which trials are fitted [s]; what follows is predicted from the input alone. None for all.
@@ -201,14 +203,13 @@ def identify_joint(
 
     Raises:
       TypeError: a number is none.
-      ValueError: the recording is refused, of two axes, of several conditions, or too short, or an option is out of its
-        range.
+      ValueError: the recording is refused, of two axes, of several people, tasks or conditions, or too short, or an
+        option is out of its range.
     """
     check_recording(recording)
     require_one_of("identify", "reflex", reflex, (None, *REFLEXES))
-    conditions = list(dict.fromkeys(map(str, recording["condition"].values)))
-    if len(conditions) > 1:
-        raise ValueError(f"identify: conditions {', '.join(conditions)}; expected only one (choose a --condition)")
+    condition = str(one_condition([recording])["condition"])
+    (recording,), left_out = inside_limit([recording])
     rate = float(recording.attrs["rate"])
     duration = recording.sizes["time"] / rate
     require_number("identify", "fit_until", fit_until, at_least=SHORTEST, at_most=duration - 1.0, optional=True)
@@ -240,9 +241,9 @@ def identify_joint(
         at_bound=at_bound,
         converged=best.converged,
         message="converged" if best.converged else "the rounds of weighing did not settle",
-        remarks=_remarks(best, signals, free, intrinsic, at_bound),
+        remarks=(*left_out, *_remarks(best, signals, free, intrinsic, at_bound)),
         label=named(recording),
-        condition=conditions[0],
+        condition=condition,
         joint=str(recording.attrs.get("joint", "")),
         servo=signals.servo,
         angular=recording["displacement"].attrs["units"] == "rad",
@@ -328,11 +329,9 @@ def _profiles(
     best: JointEstimate, signals: JointSignals, loop: Loop | None, longest_delay: float
 ) -> dict[str, Profile]:
     names = [name for name in best.structure.parameters if name.startswith("reflex_")]
-    return {
-        name: likelihood_profile(best, signals, loop, name, longest_delay=longest_delay)
-        for name in (names if loop is None else names[1:2])
-        if not best.at_bound[best.structure.parameters.index(name)]
-    }
+    free = [name for name, bound in zip(best.structure.parameters, best.at_bound, strict=True) if not bound]
+    wanted = [name for name in (names if loop is None else names[1:2]) if name in free]
+    return likelihood_profiles(best, signals, loop, wanted, longest_delay=longest_delay)
 
 
 def _remarks(

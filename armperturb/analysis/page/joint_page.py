@@ -27,6 +27,9 @@ Ankles of people on a position servo lack 4 to 5 where a free model is less than
 which takes two thirds of the inertia, lacks 11.
 """
 
+MOST = 50.0
+"""VAF below which more is left than is explained, and parameters are to be used with care [%]."""
+
 RESOLUTION = 5
 """Lines of a spectrum with a Hann window over which one frequency spreads."""
 
@@ -110,12 +113,20 @@ def joint_verdict(result: JointIdentification) -> Verdict:
             f"({numbers_of(lack)}): estimates may be biased by more than their intervals say. {CAUSES[result.servo]}."
         )
     unsettled = "" if result.converged else "Noise and parameters did not settle together."
+    share, of = (result.vaf["movement"], "movement") if result.servo == "force" else (vaf, resisting)
+    little = ""
+    if share < MOST:
+        little = (
+            f"The cascade leaves {100.0 - share:.0f} % of the variance of the {of}, more than it explains. All of that "
+            "is taken to be noise that has nothing to do with the perturbation. Compare what was recorded and what is "
+            "predicted below, and leave out what is not valid (limit_time of the sidecar)."
+        )
     is_wrong = ahead > CARE or (lacking and lack.chi2 > LARGE_LACKS[result.servo] * lack.dof)
     impossible = _impossible(result)
     if impossible or is_wrong:
-        return Verdict("reject", _sentences(*impossible, explained, lacking, unsettled))
-    if unsettled or lacking or ahead > TRUSTED:
-        return Verdict("care", _sentences(unsettled, explained, lacking))
+        return Verdict("reject", _sentences(*impossible, explained, lacking, unsettled, little))
+    if unsettled or lacking or ahead > TRUSTED or little:
+        return Verdict("care", _sentences(unsettled, explained, lacking, little))
     fits = f"The cascade explains the movement as far as the noise shows ({numbers_of(lack)})."
     return Verdict("trust", explained or fits)
 

@@ -109,7 +109,18 @@ def n_unknowns(
 
 
 class DependentDisturbancesError(ValueError):
-    """The disturbances along x and y are not independent at some frequency."""
+    """The disturbances along x and y are not independent at some frequency.
+
+    Attributes:
+      frequency: that one [Hz].
+    """
+
+    def __init__(self, frequency: float) -> None:
+        super().__init__(
+            f"the disturbances along x and y are not independent at {frequency:.3f} Hz; expected independent "
+            "disturbances (other realisations, one trial for each direction, or more lines per average)"
+        )
+        self.frequency = frequency
 
 
 def fit_locally(
@@ -157,10 +168,7 @@ def fit_locally(
     lengths[lengths == 0.0] = 1.0
     orthonormal, triangle = np.linalg.qr(matrix / lengths)
     if np.linalg.cond(triangle) > LARGEST_CONDITION:
-        raise DependentDisturbancesError(
-            f"the disturbances along x and y are not independent at {centre:.3f} Hz; expected independent "
-            "disturbances (other realisations, one trial for each direction, or more lines per average)"
-        )
+        raise DependentDisturbancesError(centre)
     answer = np.concatenate([window.answer for window in windows])
     projected = orthonormal.conj().T @ answer
     back = np.linalg.inv(triangle)

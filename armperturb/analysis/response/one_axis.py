@@ -20,6 +20,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 from scipy import stats
 
+from armperturb.analysis.cuts import inside_limit
 from armperturb.analysis.response.closed_loop import (
     HIGH_ORDERS,
     LEAKAGE_ORDER,
@@ -30,9 +31,15 @@ from armperturb.analysis.response.closed_loop import (
 )
 from armperturb.analysis.response.frequency_response import FrequencyResponse, System, require_frequencies
 from armperturb.analysis.response.joint_records import admittance_of, resampled, variance_of
-from armperturb.analysis.response.local_polynomial import LocalFit, Window, fit_locally, whole_window
+from armperturb.analysis.response.local_polynomial import (
+    DependentDisturbancesError,
+    LocalFit,
+    Window,
+    fit_locally,
+    whole_window,
+)
 from armperturb.analysis.results import Description, Table, plain
-from armperturb.analysis.trials import ConditionTrials, SeveralTrials, TrialRecord, prepared_recordings
+from armperturb.analysis.trials import SeveralTrials, TrialRecord, prepared_recordings
 from armperturb.arrays import Array, ComplexArray
 from armperturb.recording import named
 from armperturb.validation import require_number
@@ -61,6 +68,7 @@ class AxisResponse(FrequencyResponse):
         (frequency,); unbiased, so that it may come out negative.
       distortion_limit: below which it stays with a probability of `LEVEL` if the limb is linear [-], (frequency,).
       p_linear: probability of as much distortion at all frequencies together if the limb is linear [-].
+      remarks: what a reader must know before trusting the response, a sentence each.
     """
 
     kind: str
@@ -69,6 +77,7 @@ class AxisResponse(FrequencyResponse):
     distortion: Array
     distortion_limit: Array
     p_linear: float
+    remarks: tuple[str, ...] = ()
 
     def describe(self) -> Description:
         """What was estimated, and its values at each frequency."""
@@ -89,6 +98,7 @@ class AxisResponse(FrequencyResponse):
             title=f"{self.kind.capitalize()} of {self.label}" if self.label else self.kind.capitalize(),
             facts=(f"{span}; gain with its 95 % limit", self.sentence),
             table=Table(("frequency [Hz]", f"gain [{self.units}]", "phase [deg]", "coherence [-]", "distortion"), rows),
+            remarks=self.remarks,
         )
 
     @property
@@ -164,15 +174,16 @@ def one_axis_response(
     """Admittance or impedance of one axis, from any movement with power where it is wanted.
 
     Args:
-      recordings: trials of one axis, of one person in one condition; their lengths may differ.
+      recordings: trials of one axis, of one person in one condition; their lengths may differ. Those that met the limit
+        of the workspace count only if there are no others, up to then.
       what: "arm" is the limb; of a force servo also "environment" (x over d - f) or "total" (x over d).
       frequency: where the response is wanted [Hz], (frequency,); None takes up to 40 of those that are excited.
       window_start: start of what is used [s].
       order: of the response's polynomial; by default 2, or up to 5 where that fits clearly better.
 
     Raises:
-      ValueError: a recording is not of one axis, what is not there on a position servo, a signal is constant, or
-        records are too short.
+      ValueError: a recording is not of one axis, what is not there on a position servo, a signal is constant or has
+        power at too few frequencies, or records are too short.
     """
     require_number("one_axis_response", "order", order, at_least=0, optional=True)
     several = prepared_recordings(recordings)
@@ -184,7 +195,8 @@ def one_axis_response(
         raise ValueError(
             f"response: what = {what!r} on a position servo, which imposes the movement; expected arm, the limb"
         )
-    records = [resampled(record) for trials in several for record in _records(trials, window_start, imposed=imposed)]
+    inside, left_out = inside_limit([trials.recording for trials in several])
+    records = [resampled(record) for each in inside for record in _records(each, window_start, imposed=imposed)]
     spectra = [whole_window(record) for record in records]
     if frequency is None:
         wanted = _imposed_band(records) if imposed else excited_band(records)
@@ -192,11 +204,19 @@ def one_axis_response(
         wanted = require_frequencies(frequency, records[0].rate)
     orders: tuple[int, ...] = HIGH_ORDERS if order is None else (order,)
     fits, power = [], []
-    for centre in wanted.tolist():
-        windows = lines_around(spectra, centre, orders[0])
-        fits.append(fit_near(windows, centre, orders))
-        lines = np.concatenate([window.perturbation for window in windows])
-        power.append(float(np.mean(np.abs(lines) ** 2)))
+    try:
+        for centre in wanted.tolist():
+            windows = lines_around(spectra, centre, orders[0])
+            fits.append(fit_near(windows, centre, orders))
+            lines = np.concatenate([window.perturbation for window in windows])
+            power.append(float(np.mean(np.abs(lines) ** 2)))
+        distortion, limit, p_linear = _distortion(records, spectra, wanted, fits, imposed=imposed)
+    except DependentDisturbancesError as error:
+        raise ValueError(
+            f"response: the {'movement' if imposed else 'perturbation'} has power at too few frequencies near "
+            f"{error.frequency:.3f} Hz; expected a band of frequencies, as of random steps or noise (a response at "
+            "single tones cannot be separated from transients)"
+        ) from None
     joint, noise = np.array([fit.answer for fit in fits]), np.array([fit.noise for fit in fits])
     spread = np.array([fit.factor for fit in fits])
     if imposed:
@@ -204,7 +224,6 @@ def one_axis_response(
     else:
         values, variance = admittance_of(what, joint), variance_of(what, joint, noise, spread)
     explained = np.array(power) * np.abs(joint[:, -1, 0]) ** 2
-    distortion, limit, p_linear = _distortion(records, spectra, wanted, fits, imposed=imposed)
     torque, angle = (str(first[name].attrs["units"]) for name in ("force", "displacement"))
     return AxisResponse(
         frequency=wanted,
@@ -212,29 +231,31 @@ def one_axis_response(
         covariance=variance,
         what=what,
         dof=np.array([fit.dof for fit in fits]),
-        label=named([trials.recording for trials in several]),
+        label=named(inside),
         kind="impedance" if imposed else "admittance",
         units=f"{torque}/{angle}" if imposed else f"{angle}/{torque}",
         coherence=explained / (explained + noise[:, -1, -1].real),
         distortion=distortion,
         distortion_limit=limit,
         p_linear=p_linear,
+        remarks=left_out,
     )
 
 
-def _records(trials: ConditionTrials, window_start: float, *, imposed: bool) -> list[TrialRecord]:
+def _records(recording: xr.Dataset, window_start: float, *, imposed: bool) -> list[TrialRecord]:
     """Input and output of the servo: movement and torque, or perturbation, torque and movement."""
     require_number("response", "window_start", window_start, at_least=0.0)
-    start = round(window_start * trials.rate)
-    if trials.n_samples - start < 2:
+    rate = float(recording.attrs["rate"])
+    start = round(window_start * rate)
+    if recording.sizes["time"] - start < 2:
         raise ValueError(f"response: window_start = {window_start:g} s; expected less than the record")
-    f, x = (values[:, start:] for values in (trials.force, trials.recorded_displacement))
-    inputs = x if imposed else trials.perturbation[:, start:]
+    f, x = (np.asarray(recording[name].values[:, start:], dtype=float) for name in ("force", "displacement"))
+    inputs = x if imposed else np.asarray(recording["perturbation"].values[:, start:], dtype=float)
     for name, signals in (("displacement" if imposed else "perturbation", inputs), ("force", f)):
         if np.ptp(signals, axis=1).min() == 0.0:
             raise ValueError(f"recording: {name} of a trial is constant; expected a perturbed trial (leave it out)")
     outputs = f if imposed else np.concatenate([f, x], axis=2)
-    return [TrialRecord(u, z, trials.rate) for u, z in zip(inputs, outputs, strict=True)]
+    return [TrialRecord(u, z, rate) for u, z in zip(inputs, outputs, strict=True)]
 
 
 def _imposed_band(records: Sequence[TrialRecord]) -> Array:

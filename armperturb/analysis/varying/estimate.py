@@ -23,6 +23,7 @@ import numpy as np
 import xarray as xr
 from scipy import linalg, ndimage
 
+from armperturb.analysis.cuts import inside_limit, one_condition
 from armperturb.analysis.fit.ladder import left_out_loss
 from armperturb.analysis.fit.likelihood_search import SKETCHED, search_from
 from armperturb.analysis.fit.whittle import Normal
@@ -122,22 +123,31 @@ def identify_varying(
     """Stiffness, damping and reflex gain of one joint over time in an ensemble, or over a scheduling variable.
 
     Args:
-      recording: of one axis on a position servo: repetitions with different perturbations of the same course of
-        parameters, or, for "scheduling", any trials with a scheduling signal.
+      recording: of one axis on a position servo, of one person in one condition: repetitions with different
+        perturbations of the same course of parameters, or, for "scheduling", any trials with a scheduling signal.
+        Trials that met the limit of the workspace count only if there are no others, up to then.
       variable: what parameters depend on.
       reflex: "none", "linear" or "half-wave", whose direction left-out data choose; None to let them choose among all.
-      fit_until: time from which on samples are held out [s]; None fits all.
+      fit_until: time from which on samples are held out [s]; None fits all, as for "time" it must.
       n_points: of the curves.
 
     Raises:
-      ValueError: the recording is of another kind, an option is unknown, or too little is left to fit.
+      ValueError: the recording is of another kind, of several people, tasks or conditions, an option is unknown, or too
+        little is left to fit.
     """
     check_recording(recording)
     require_one_of("identify_varying", "variable", variable, tuple(CANDIDATES))
     require_one_of("identify_varying", "reflex", reflex, (None, *REFLEXES))
+    one_condition([recording])
+    (recording,), left_out = inside_limit([recording])
     last = float(recording["time"].values[-1])
     require_number("identify_varying", "fit_until", fit_until, above=0.0, at_most=last, optional=True)
     ensemble, rate = variable == "time", float(recording.attrs["rate"])
+    if ensemble and fit_until is not None:
+        raise ValueError(
+            f"identify_varying: fit_until = {fit_until:g} with variable = 'time'; expected None, as nothing is known "
+            "of parameters at times that are not fitted (variable = 'scheduling' holds out samples)"
+        )
     fitted = recording if fit_until is None else recording.isel(time=slice(0, round(fit_until * rate)))
     reference = mean_angle(fitted)
     signals, place = _recorded(fitted, ensemble, reference)
@@ -184,6 +194,7 @@ def identify_varying(
         held_out_vaf=None if fit_until is None else explained(torque[:, held], predicted[:, held]),
         n_trials=len(torque),
         n_groups=len(solution.influence),
+        remarks=left_out,
     )
 
 

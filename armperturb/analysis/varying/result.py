@@ -48,6 +48,7 @@ class VaryingEstimate(Result):
       held_out_vaf: in the rest, simulated from the angle alone [%]; None if everything was fitted.
       n_trials: how many trials.
       n_groups: repetitions or stretches from whose differences the errors come.
+      remarks: what a reader must know before trusting the curves, a sentence each.
     """
 
     variable: str
@@ -62,6 +63,7 @@ class VaryingEstimate(Result):
     held_out_vaf: float | None
     n_trials: int
     n_groups: int
+    remarks: tuple[str, ...] = ()
 
     @property
     def structure(self) -> JointStructure:
@@ -118,6 +120,7 @@ class VaryingEstimate(Result):
             title=f"One {what} over {over}, {self.n_trials} trial(s)",
             facts=tuple(facts),
             table=Table(("quantity", "least", "greatest", "standard error", "splines"), rows),
+            remarks=self.remarks,
         )
 
     def to_frame(self) -> pd.DataFrame:

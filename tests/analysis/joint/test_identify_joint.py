@@ -6,8 +6,10 @@ from dataclasses import replace
 import numpy as np
 import one_joint
 import pytest
+import xarray as xr
+from scipy import signal
 
-from armperturb.analysis.joint.estimate import Profile, estimate_joint
+from armperturb.analysis.joint.estimate import Profile, estimate_joint, likelihood_profiles
 from armperturb.analysis.joint.export import joint_summary, write_joint
 from armperturb.analysis.joint.identify import identify_joint
 from armperturb.analysis.joint.intrinsic import check_intrinsic
@@ -133,6 +135,29 @@ def test_an_interval_of_a_profile_ends_where_its_root_says():
     skewed = Profile(held, np.array([16.0, 4.0, 0.0, 1.0, 4.0]), (0.5, 9.0))
     assert skewed.interval(2.0) == (1.0, 6.0)
     assert skewed.interval(3.0) == (0.5, 8.0)  # at a bound, and beyond what was held
+    two_minima = Profile(held, np.array([9.0, 0.0, 9.0, 1.0, 9.0]), (0.0, 9.0))
+    assert two_minima.interval(2.0) == pytest.approx((1.0 / 3.0, 5.0))
+
+
+def test_profiles_reach_both_minima_of_a_threshold(recording):
+    """A movement that rests between its switches: thresholds either side of rest explain its reflex."""
+    rng = np.random.default_rng(0)
+    switched = 0.02 * np.repeat(rng.choice([-1.0, 1.0], 200), 150)
+    angle = signal.sosfilt(signal.butter(2, 20.0, fs=one_joint.RATE, output="sos"), switched)
+    moved = joint_signals(recording.assign(displacement=recording["displacement"].copy(data=angle[None, :, None])))
+    structure, true = JointStructure(), np.array([0.016, 0.8, 70.0, 8.0, 0.04, 2.5, 0.8, 0.1])
+    torque = JointModel(structure, moved).torque(true)
+    noise = signal.lfilter(*signal.butter(1, 3.0, fs=moved.rate), rng.normal(size=torque.shape))
+    moved = replace(moved, torque=torque + 0.18 * torque.std() / noise.std() * noise)
+    fit, names = estimate_joint(structure, moved), ("reflex_gain", "reflex_threshold")
+    assert fit.values[-1] < 0.0
+    profiles = likelihood_profiles(fit, moved, None, names)
+    assert tuple(profiles) == names
+    for name in names:
+        lower, upper = profiles[name].interval(1.96)
+        assert lower < true[structure.parameters.index(name)] < upper, name
+    # From the minimum that is nearest alone it would end at 8.8.
+    assert profiles["reflex_gain"].interval(1.96).upper > 9.5
 
 
 @pytest.mark.slow(reason="shares the search above")
@@ -212,6 +237,25 @@ def test_without_noise_a_force_servo_leaves_no_bias():
     fit = estimate_joint(JointStructure(reflex="linear"), signals, environment_of(signals))
     true = [getattr(person, name) for name in fit.structure.parameters]
     np.testing.assert_allclose(fit.values, true, rtol=1e-3)
+
+
+def test_what_follows_the_workspace_limit_does_not_count(recording):
+    whole = recording.isel(time=slice(0, 8000))
+    spoiled = whole.assign_coords(limit_time=("trial", [6.0], whole["limit_time"].attrs)).copy(deep=True)
+    spoiled["force"][:, 6000:] = 50.0
+    until, cut = (identify_joint(each, reflex="none") for each in (spoiled, whole.isel(time=slice(0, 6000))))
+    assert until.values == cut.values
+    assert until.remarks[0] == (
+        "all trials met the workspace limit (limit_time), and are used up to the first time that one did: 6 s"
+    )
+    again = whole.assign_coords(repetition=("trial", [1], whole["repetition"].attrs))
+    both = xr.concat([spoiled, again], "trial", combine_attrs="override")
+    assert identify_joint(both, reflex="none").remarks[0].startswith("1 of 2 trials met the workspace limit")
+    with pytest.raises(ValueError, match=r"limit_time = 0 s; expected trials that start inside"):
+        identify_joint(whole.assign_coords(limit_time=("trial", [0.0], whole["limit_time"].attrs)))
+    other = both.assign_coords(subject=("trial", ["S", "T"], whole["subject"].attrs))
+    with pytest.raises(ValueError, match=r"subject has several values \(S, T\).*--subject.*subject.values == 'S'"):
+        identify_joint(other, reflex="none")
 
 
 def test_bad_options_are_named(recording):

@@ -45,7 +45,7 @@ def result():
 
 
 def on_force_servo(result):
-    return replace(result, servo="force", free_model=None)
+    return replace(result, servo="force", free_model=None, vaf={"movement": result.vaf["total"], **result.vaf})
 
 
 def ahead(result, by):
@@ -57,6 +57,15 @@ def test_a_joint_that_fits_is_trusted(result):
     assert joint_verdict(on_force_servo(result)).level == "trust"
     assert joint_verdict(replace(result, lack_of_fit=LackOfFit(44.0, 20))).level == "care"
     assert joint_verdict(ahead(result, 5.0)).level == "care"
+
+
+def test_a_joint_that_leaves_more_than_it_explains_is_used_with_care(result):
+    little = replace(result, vaf=result.vaf | {"total": 18.0})
+    said = joint_verdict(ahead(little, 0.0))
+    assert said.level == "care"
+    assert "leaves 82 % of the variance of the torque" in said.text
+    moved = on_force_servo(replace(result, vaf=result.vaf | {"total": 18.0, "movement": 90.0}))
+    assert joint_verdict(moved).level == "trust"
 
 
 def test_what_did_not_settle_hides_no_rejection(result):

@@ -86,3 +86,20 @@ def test_a_constant_angle_is_named():
     recording["displacement"][:] = 0.0
     with pytest.raises(ValueError, match=r"displacement.* constant"):
         ap.response(recording)
+
+
+def test_what_follows_the_workspace_limit_does_not_count():
+    recording = one_joint.recording(one_joint.person("ankle", 3, "none"), 3, duration=12.0)
+    spoiled = recording.assign_coords(limit_time=("trial", [9.0], recording["limit_time"].attrs)).copy(deep=True)
+    spoiled["force"][:, 9000:] = 50.0
+    until, cut = (ap.response(each, frequency=[2.0, 5.0]) for each in (spoiled, recording.isel(time=slice(0, 9000))))
+    np.testing.assert_array_equal(until.response, cut.response)
+    assert "are used up to the first time that one did: 9 s" in until.summary()
+    assert not cut.remarks
+
+
+def test_a_sine_is_named():
+    recording = one_joint.recording(one_joint.person("ankle", 3, "none"), 3, duration=12.0)
+    tone = 0.05 * np.sin(2.0 * np.pi * 2.0 * recording["time"].values)
+    with pytest.raises(ValueError, match=r"the movement has power at too few frequencies near .* expected a band"):
+        ap.response(recording.assign(displacement=recording["displacement"].copy(data=tone[None, :, None])))

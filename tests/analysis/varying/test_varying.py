@@ -184,6 +184,14 @@ def test_an_ensemble_may_be_of_a_length_at_which_an_offset_is_exactly_nothing():
     assert identify_varying(recorded(angle, torque), reflex="none").vaf > 99.0
 
 
+def test_repetitions_that_met_the_workspace_limit_are_left_out():
+    angle, torque = measured(100.0, 6, 1.2, 0.1)
+    met = ("trial", [1.0, *[np.nan] * 5])
+    estimate = identify_varying(recorded(angle, torque).assign_coords(limit_time=met), reflex="none")
+    assert estimate.n_trials == 5
+    assert "1 of 6 trials met the workspace limit (limit_time) and are left out" in estimate.summary()
+
+
 def test_between_two_postures_nothing_is_known():
     angle, torque = measured(100.0, 2, 6.0, 0.0)
     posture = np.broadcast_to([[0.0], [0.05]], angle.shape)
@@ -212,8 +220,12 @@ def test_bad_input_is_refused():
         identify_varying(good, "scheduling")
     with pytest.raises(ValueError, match="3 trials; expected an ensemble"):
         identify_varying(good.isel(trial=[0, 1, 2]))
+    with pytest.raises(ValueError, match=r"condition has several values \(PT, RT\).*condition.values == 'PT'"):
+        identify_varying(good.assign_coords(condition=("trial", ["PT", "PT", "RT", "RT"])))
     with pytest.raises(ValueError, match="servo = 'force'"):
         identify_varying(recorded(angle, torque, servo="force", perturbation=torque))
+    with pytest.raises(ValueError, match=r"fit_until = 0.5 with variable = 'time'; expected None.*'scheduling'"):
+        identify_varying(good, fit_until=0.5)
     with pytest.raises(ValueError, match="reflex = 'cubic'"):
         identify_varying(good, reflex="cubic")
     with pytest.raises(ValueError, match="angle of a trial is constant"):
