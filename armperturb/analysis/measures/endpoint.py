@@ -26,7 +26,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from armperturb.analysis.arm.geometry import hand_jacobian, segment_inertias
+from armperturb.analysis.arm.geometry import RIGHT_DEG, hand_jacobian, segment_inertias
 from armperturb.analysis.arm.parameters import GROUPS, MATRIX, PARAMETERS, parameter_vector
 from armperturb.analysis.results import (
     Description,
@@ -47,9 +47,6 @@ if TYPE_CHECKING:
 
 STRAIGHT_DEG = 1.0
 """An elbow that is closer than this to straight or folded leaves the hand a direction in which it cannot move [deg]."""
-
-RIGHT_DEG = 1.0
-"""An elbow that is closer than this to a right angle does not show the coupling of its segments [deg]."""
 
 LARGEST_HALF = 14.0
 """Half width of the interval of a logarithm from which on there are no limits: a factor of a million tells nothing."""

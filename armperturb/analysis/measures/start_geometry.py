@@ -29,17 +29,12 @@ from dataclasses import replace
 import numpy as np
 from scipy import signal
 
-from armperturb.analysis.arm.geometry import hand_jacobian, mass_matrix
+from armperturb.analysis.arm.geometry import COUPLING, hand_jacobian, mass_matrix
 from armperturb.analysis.manipulator import manipulator_covariance
 from armperturb.analysis.measures.kinematics import CUTOFF, hand_path, joint_rotations, joint_velocities
 from armperturb.analysis.trials import ConditionTrials, Trials, prepared
 from armperturb.arrays import Array
 from armperturb.subject import Subject
-
-COUPLING = 1.25
-"""Coupling of the segments over l_h / l_f times the elbow's inertia [-], which is centre / (centre^2 + gyration^2) of
-the forearm with hand in shares of l_f: 1.29 to 1.32 by the tables of `anthropometry`, 1.15 to 1.19 with 0.5 kg of cuff
-and handle at the hand."""
 
 APPLIED = "applied_perturbation"
 """Variable of a recording in the start geometry that holds d."""

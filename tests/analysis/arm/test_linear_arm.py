@@ -91,6 +91,19 @@ def test_rigid_segments_have_the_joint_inertia_that_was_asked(theta_e_deg, c_f):
     assert with_rigid_segments(rigid) is rigid
 
 
+@pytest.mark.parametrize("error", [0.97, 1.03])
+def test_rigid_segments_at_a_right_angle_have_an_estimated_inertia_but_for_its_errors(error):
+    body = replace(POSITION, c_h=0.5, r_h=0.26, c_f=0.55, r_f=0.3, theta_e_deg=90.0)
+    wanted = mass_matrix(body)
+    bare = replace(body, m_h=0.0, m_f=0.0, i_s=wanted[0, 0], i_se=error * wanted[0, 1], i_e=wanted[1, 1])
+    rigid = with_rigid_segments(bare)
+    rigid.require_simulable()
+    np.testing.assert_allclose(mass_matrix(rigid), wanted, rtol=1e-9)
+    assert rigid.m_f == pytest.approx(body.m_f, rel=0.3)
+    with pytest.raises(ValueError, match="expected one that rigid segments can have at an elbow angle of 90 deg"):
+        with_rigid_segments(replace(bare, i_se=0.8 * wanted[0, 1]))
+
+
 @pytest.mark.parametrize("i_e", [0.1, 0.08])
 def test_rigid_segments_of_an_impossible_inertia_are_refused(i_e):
     # At 82 deg the elbow couples segments more than the forearm alone does, and never less or as much.
