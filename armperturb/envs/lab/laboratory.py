@@ -72,9 +72,10 @@ class Rest:
             )
         if np.isfinite(self.segments.l_h):
             arm = self.segments
+            side = " (a left arm, recorded as in a mirror)" if arm.is_left else ""
             lines.append(
                 f"arm: {arm.l_h:.3g} and {arm.l_f:.3g} m, shoulder at {arm.theta_s_deg:.3g} and elbow at "
-                f"{arm.theta_e_deg:.3g} deg"
+                f"{arm.theta_e_deg:.3g} deg{side}"
             )
         return "\n".join(lines)
 
@@ -266,7 +267,10 @@ class Laboratory:
         same: dict[str, str | float] = {"subject": self.name, "task": task, "condition": condition, "pulse_level": 0.0}
         same |= {name: getattr(arm, name) for name in ("l_h", "l_f", "theta_s_deg", "theta_e_deg")}
         labels: dict[str, ArrayLike] = {name: np.full(n, value) for name, value in same.items()}
-        return labels | perturbation_labels(perturbations) | {"repetition": range(n), "order": range(n)}
+        pulses = {name: np.asarray(values) for name, values in perturbation_labels(perturbations).items()}
+        if arm.is_left:
+            pulses["pulse_direction"] = (180.0 - pulses["pulse_direction"]) % 360.0
+        return labels | pulses | {"repetition": range(n), "order": range(n)}
 
     def _trial(self, perturbation: Perturbation, setup: Setup, n_samples: int) -> tuple[Array, Array, float]:
         """Perturbation, log (displacement, force, angles) and time of the limit, at the recording's rate."""
@@ -297,11 +301,11 @@ class Laboratory:
             )
         limit_time = reached[0] * setup.decimation * timestep if len(reached) else np.nan
         angle = log[:, 2:] * np.array(arm.signs) + np.array(arm.offsets)
-        signals = np.concatenate([log[:, :2], force, angle], axis=1)
-        rest = np.concatenate(
-            [np.zeros(2), self.rest.force, np.radians([arm.theta_s_deg, arm.theta_e_deg])[: angle.shape[1]]]
-        )
-        return setup.sampled(known[1 : n_steps + 1], self.rest.force), setup.sampled(signals, rest), limit_time
+        mirror = np.array([-1.0 if arm.is_left else 1.0, 1.0])
+        signals = np.concatenate([log[:, :2] * mirror, force * mirror, angle], axis=1)
+        held = self.rest.force * mirror
+        rest = np.concatenate([np.zeros(2), held, np.radians([arm.theta_s_deg, arm.theta_e_deg])[: angle.shape[1]]])
+        return setup.sampled(known[1 : n_steps + 1] * mirror, held), setup.sampled(signals, rest), limit_time
 
 
 def _name_of(model: str | Path | mujoco.MjSpec) -> str:

@@ -16,9 +16,10 @@ EXACT = 12
 
 @dataclass(frozen=True, kw_only=True)
 class Segments:
-    """Lengths and start posture in the plane of the handle, as a recording has them.
+    """Lengths and start posture in the plane of the handle, as a recording has them: of a left arm as in a mirror.
 
     Attributes:
+      is_left: whether the elbow bends to the other side than a right arm's, so that x points the other way.
       l_h: from shoulder to elbow [m].
       l_f: from elbow to hand [m].
       theta_s_deg: angle of the first from the handle's x axis [deg].
@@ -28,6 +29,7 @@ class Segments:
       offsets: to add to them [rad], (joint,).
     """
 
+    is_left: bool = False
     l_h: float = np.nan
     l_f: float = np.nan
     theta_s_deg: float = np.nan
@@ -69,9 +71,12 @@ def segments_of(
     ends = joints if named is None else [model.joint(name).id for name in named]
     upper, lower = np.diff([*data.xanchor[ends, :2], data.site_xpos[hand, :2]], axis=0)
     first, second = (np.arctan2(along[1], along[0]) for along in (upper, lower))
-    angle = np.round(_wrapped(np.array([first - turn, second - first])), EXACT)
+    angle = _wrapped(np.array([first - turn, second - first]))
+    is_left = bool(angle[1] < 0.0)
+    angle = np.round(_wrapped(np.array([np.pi, 0.0]) - angle) if is_left else angle, EXACT)
     length = np.round(np.hypot(*np.array([upper, lower]).T), EXACT)
     segments = Segments(
+        is_left=is_left,
         l_h=float(length[0]),
         l_f=float(length[1]),
         theta_s_deg=float(np.round(np.degrees(angle[0]), EXACT - 2)),
@@ -80,10 +85,10 @@ def segments_of(
     if not planar or ends != joints:
         return segments
     hinges = model.jnt_qposadr[joints]
-    signs = np.sign(data.xaxis[joints, 2])
+    signs = np.sign(data.xaxis[joints, 2]) * (-1.0 if is_left else 1.0)
     offsets = np.round(_wrapped(angle - signs * data.qpos[hinges]), EXACT - 2)
     return Segments(
-        **{name: getattr(segments, name) for name in ("l_h", "l_f", "theta_s_deg", "theta_e_deg")},
+        **{name: getattr(segments, name) for name in ("is_left", "l_h", "l_f", "theta_s_deg", "theta_e_deg")},
         hinges=tuple(map(int, hinges)),
         signs=tuple(signs),
         offsets=tuple(offsets + 0.0),

@@ -1,6 +1,7 @@
 """The laboratory around arms that others have modelled."""
 
 import importlib.util
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -141,6 +142,29 @@ def test_an_arm_finds_its_rest_under_a_load(files):
     assert np.abs(recording["displacement"].values).max() < 1e-7
     for name in ("perturbation", "force"):
         np.testing.assert_allclose(recording[name].values - force, 0.0, atol=1e-4)
+
+
+def test_a_left_arm_is_recorded_as_in_a_mirror(tmp_path):
+    # The shoulder at 140 deg and the elbow at -85 deg are those of TWO_LINK in a mirror, on springs as stiff.
+    left = TWO_LINK.replace('euler="0 0 40"', 'euler="0 0 140"').replace('euler="0 0 85"', 'euler="0 0 -85"')
+    (tmp_path / "left.xml").write_text(left)
+    (tmp_path / "right.xml").write_text(TWO_LINK)
+    recordings = {}
+    for side, direction in (("left", 150.0), ("right", 30.0)):
+        laboratory = ap.Laboratory(tmp_path / f"{side}.xml", "palm")
+        assert ("left arm" in laboratory.rest.summary()) == (side == "left")
+        recordings[side] = laboratory.record([replace(PULSE, direction_deg=direction)])
+    for name in (
+        "perturbation",
+        "force",
+        "displacement",
+        "joint_angle",
+        "pulse_direction",
+        "theta_s_deg",
+        "theta_e_deg",
+    ):
+        of_left, of_right = (recordings[side][name].values for side in ("left", "right"))
+        np.testing.assert_allclose(of_left, of_right, rtol=1e-6, atol=1e-7)
 
 
 @pytest.mark.slow(reason="simulates and fits trials")
