@@ -250,7 +250,8 @@ def _grams(d: Array, f: Array, x: Array, rate: float) -> Array:
         spectrum = fft.rfft(values, n_padded, axis=1) * smooth[:, None]
         for power in powers:
             inner = fft.irfft(spectrum * (s**power)[:, None], n_padded, axis=1)[:, n_edge : n_edge + n_inner]
-            part = fft.rfft(inner * taper[:, None], axis=1)[:, used]
+            # The taper would spread the offset, or drift, of a sensor over the band.
+            part = fft.rfft(signal.detrend(inner, axis=1) * taper[:, None], axis=1)[:, used]
             columns += [part[..., axis] for axis in range(2)]
     stacked = np.stack(columns, axis=1)
     return np.asarray((stacked @ stacked.conj().swapaxes(1, 2)).real)

@@ -407,6 +407,15 @@ def test_a_pulse_at_the_end_tells_the_sign_of_the_perturbation():
     ]
 
 
+@pytest.mark.parametrize("duration", [5.0, 6.0])  # in 5 s the lowest frequencies lie next to a constant
+def test_a_force_with_an_offset_that_drifts_balances_and_hides_no_sign(duration):
+    trials = [handle(seed, duration=duration) for seed in range(2)]
+    offset = np.array([10.0, -3.0]) + np.linspace(0.0, 5.0, len(trials[0][0]))[:, None]
+    assert check_balance(laboratory_recording(*((d, f + offset, x) for d, f, x in trials))) == []
+    with pytest.raises(ValueError, match=r"as it would if the sign of force were turned \("):
+        check_balance(laboratory_recording(*((d, offset - f, x) for d, f, x in trials)))
+
+
 def test_what_comes_after_the_workspace_limit_is_not_held_against_physics():
     d, f, x = (values.copy() for values in handle(0, duration=10.0))
     f[1500:] = 300.0 * np.sin(np.arange(500))[:, None]  # the stop takes the load
