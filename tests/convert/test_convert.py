@@ -646,6 +646,17 @@ def test_clipped_and_stuck_channels_are_refused_with_their_time(tmp_path):
     assert found.recording.sizes["trial"] == 1
 
 
+@pytest.mark.parametrize(("columns", "n"), [(X, 20), (X, 200), (F, 60), ([6], 60)])
+def test_a_sensor_that_stands_still_alone_is_refused_with_its_time(tmp_path, columns, n):
+    values = table()
+    values[N_TIME + 400 : N_TIME + 400 + n, columns] = values[N_TIME + 400, columns]
+    name = r"F[xy] \(force\)" if columns is F else r"X \(displacement\)"
+    said = rf"trial '2': {name} holds its value for {n / RATE:g} s at 2 s.*convert --repair trials"
+    with pytest.raises(ValueError, match=said):
+        import_recording([write(tmp_path, values)])
+    assert import_recording([tmp_path / "lab.csv"], repair=["trials"]).recording.sizes["trial"] == 1
+
+
 def test_a_square_perturbation_is_read_and_a_clipped_one_refused(tmp_path):
     values = table(1)
     square = 3.0 * np.sign(np.random.default_rng(4).normal(size=(N_TIME // 10, 2))).repeat(10, axis=0)
