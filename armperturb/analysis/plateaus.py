@@ -37,16 +37,19 @@ SLOWLY = 0.5
 acceleration it is at most a third."""
 
 
-def clipped_stretches(values: Array, *, is_command: bool = False) -> list[tuple[int, int]]:
+def clipped_stretches(values: Array, *, is_command: bool = False, may_rest: bool = False) -> list[tuple[int, int]]:
     """First sample and end of each stretch at the largest or smallest value that is entered and left steeply.
 
     Args:
       values: of one channel, (time,), not all equal.
-      is_command: whether it is a perturbation, which may be a square wave of two or more levels; it has none then.
+      is_command: whether it is a perturbation, which may rest at zero, or be a square wave of two or more levels; it
+        has none then.
+      may_rest: whether another channel may rest at zero.
     """
     if is_command and _is_square(values):
         return []
-    return [*_plateaus(values), *_plateaus(-values)]
+    sides = [side for side in (values, -values) if side.max() != 0.0 or not (is_command or may_rest)]
+    return [stretch for side in sides for stretch in _plateaus(side)]
 
 
 def _is_square(values: Array) -> bool:
@@ -56,8 +59,6 @@ def _is_square(values: Array) -> bool:
 
 def _plateaus(values: Array) -> list[tuple[int, int]]:
     top = float(values.max())
-    if top == 0.0:  # where a disturbance rests
-        return []
     steps = np.abs(np.diff(values))
     moving = steps[steps > 0.0]
     resolution, usual = float(moving.min()), float(np.sqrt(np.mean(steps**2)))

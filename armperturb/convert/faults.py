@@ -298,11 +298,14 @@ def find_stuck(timed: Timed) -> list[Fault]:
                 continue
             if name == "displacement" and timed.servo == "position":  # which may hold its position
                 continue
-            plateaus = clipped_stretches(samples, is_command=name == "perturbation")
+            # Where nothing perturbs, people push and rest.
+            plateaus = clipped_stretches(samples, is_command=name == "perturbation", may_rest=is_still)
             if plateaus:
                 first, last = min(plateaus)
+                is_lost = name == "displacement" and samples[first] == 0.0
+                lost = " (lost markers? left empty, they count as gaps)" if is_lost else ""
                 clipped = f"clipped at {samples[first]:.6g} for {(last - first) / rate:.4g} s at {first / rate:.6g} s"
-                faults.append(Fault("trials", f"{channel} ({name}) is {clipped}, {len(plateaus)} times in all"))
+                faults.append(Fault("trials", f"{channel} ({name}) is {clipped}, {len(plateaus)} times in all{lost}"))
     return [*faults, *_held(timed)]
 
 

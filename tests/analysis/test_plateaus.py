@@ -55,6 +55,13 @@ def test_a_clipped_command_is_found(name):
     assert len(clipped_stretches(CLIPPED[name], is_command=True)) > 3
 
 
+def test_zero_is_a_limit_of_what_cannot_rest_there():
+    above = multisine().clip(0.0, None)
+    assert clipped_stretches(above)
+    assert clipped_stretches(above, is_command=True) == []
+    assert clipped_stretches(above, may_rest=True) == []
+
+
 def rested(force, mass=2.0, friction=1.0):
     """Path of a handle that friction holds wherever it comes to rest and the force is small [m], (time,)."""
     path, at, speed, step = np.zeros(len(force)), 0.0, 0.0, 1.0 / 200.0

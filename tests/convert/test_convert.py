@@ -657,6 +657,16 @@ def test_a_sensor_that_stands_still_alone_is_refused_with_its_time(tmp_path, col
     assert import_recording([tmp_path / "lab.csv"], repair=["trials"]).recording.sizes["trial"] == 1
 
 
+def test_lost_markers_that_are_written_as_zeros_are_refused(tmp_path):
+    values = table()
+    values[:, X] += [0.1, 0.4]
+    values[N_TIME + 400 : N_TIME + 460, X] = 0.0
+    sidecar = meaning()
+    sidecar["signals"]["displacement"]["start"] = "first"
+    with pytest.raises(ValueError, match=r"trial '2': X \(displacement\) is clipped at 0 for 0.3 s at 2 s.*left empty"):
+        import_recording([write(tmp_path, values, sidecar)])
+
+
 def test_a_square_perturbation_is_read_and_a_clipped_one_refused(tmp_path):
     values = table(1)
     square = 3.0 * np.sign(np.random.default_rng(4).normal(size=(N_TIME // 10, 2))).repeat(10, axis=0)
