@@ -110,6 +110,24 @@ def test_a_sensor_at_an_angle_is_named_with_the_angle(noise):
 
 
 @pytest.mark.parametrize("noise", [0.0, 1.0])
+@pytest.mark.parametrize(("place", "name"), [(0, "perturbation"), (2, "displacement")])
+def test_a_signal_in_axes_that_are_turned_is_named_with_the_angle(place, name, noise):
+    three = signals(noise=noise)
+    for turn, sense in ((TURNED, "x to y"), (TURNED.T, "y to x"), (np.linalg.matrix_power(TURNED, 4), "x to y")):
+        turned = [each @ turn.T if at == place else each for at, each in enumerate(three)]
+        wrong = found(*turned)
+        assert wrong.kind == f"{name} axes"
+        assert wrong.share > 0.95
+        said = re.match(
+            rf"{name} appears to be turned by ([\d.]+)° from {sense} \(.*: turn x and y of it back", wrong.text
+        )
+        angle = abs(math.atan2(turn[1, 0], turn[0, 0]))
+        assert float(said[1]) == pytest.approx(math.degrees(angle), rel=0.02)
+        if place == 2:
+            assert wrong.bias == pytest.approx(2.0 * math.sin(0.5 * angle), rel=0.02)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0])
 def test_a_manipulator_that_is_not_alike_in_all_directions_is_named(noise):
     wrong = found(*signals(mass=np.diag([2.5, 3.5]), noise=noise))
     assert wrong.kind == "load"

@@ -342,9 +342,9 @@ def test_a_mass_that_is_no_handles_is_refused_in_netcdf_too(tmp_path):
         import_recording([tmp_path / "grams.nc"])
 
 
-def turned(force, degrees):
+def turned(values, degrees):
     cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    return force @ np.array([[cosine, sine], [-sine, cosine]])
+    return values @ np.array([[cosine, sine], [-sine, cosine]])
 
 
 def filtered(values):
@@ -354,6 +354,8 @@ def filtered(values):
 SMALL = {
     r"force appears to be 10 % too large \(": lambda d, f, x: (d, 1.1 * f, x),
     r"force appears to be turned by 5° from x to y \(": lambda d, f, x: (d, turned(f, 5.0), x),
+    r"displacement appears to be turned by 5° from x to y \(": lambda d, f, x: (d, f, turned(x, 5.0)),
+    r"perturbation appears to be turned by 5° from x to y \(": lambda d, f, x: (turned(d, 5.0), f, x),
     r"force is recorded 5.00 ms later than displacement and perturbation \(": lambda d, f, x: (d, np.roll(f, 1, 0), x),
     r"displacement is recorded 4.99 ms earlier than force and pert": lambda d, f, x: (d, f, np.roll(x, -1, 0)),
 }
@@ -372,6 +374,7 @@ LARGE = {
     "these two alone passed a low-pass filter": lambda d, f, x: (d, filtered(f), filtered(x)),
     "force is recorded 99.98 ms later than": lambda d, f, x: (d, np.roll(f, 20, 0), x),
     "force appears to be turned by 30° from x to y": lambda d, f, x: (d, turned(f, 30.0), x),
+    "displacement appears to be turned by 30° from y to x": lambda d, f, x: (d, f, turned(x, -30.0)),
 }
 
 

@@ -39,6 +39,8 @@ REMEDIES: dict[Kind, str] = {
     "gain": "Calibrate the gauge and the perturbation.",
     "gains": "Calibrate the gauge, axis by axis.",
     "rotation": "Turn the force into the axes of the other signals (signals.force.axes, if it is by right angles).",
+    "displacement axes": "Turn x and y of the displacement into the axes of the other signals.",
+    "perturbation axes": "Turn x and y of the perturbation into the axes of the other signals.",
     "load": "Make the manipulator alike in all directions: a mass, damping and stiffness.",
     "unknown": "Pass all signals through the same filters, and check each sensor.",
 }
