@@ -342,9 +342,9 @@ def _linear(spectra: Spectra, kind: Kind, none: _Fit) -> tuple[Imbalance, _Fit]:
         bias = _relative(spectra, _power(spectra, change))
         return Imbalance(kind, f"the manipulator appears to have {_manipulator(spectra, fit)}", 0.0, bias), fit
     if kind == "displacement axes":
-        mean, more = fit.values.reshape(2, 3)
-        powers = [float(spectra.counts @ _power(spectra, signal_row(2 + k, mean[k] * np.eye(2)))) for k in range(3)]
-        angle = math.atan2(-float(powers @ (more / mean)), sum(powers))
+        along, across = fit.values.reshape(2, 3)
+        powers = np.array([spectra.counts @ _power(spectra, signal_row(2 + k)) for k in range(3)])
+        angle = math.atan2(-float(powers @ (along * across)), float(powers @ along**2))
         return Imbalance(kind, f"displacement {_by_angle(angle)} ({_REASONS[kind]})", 0.0, _chord(angle)), fit
     gain, more = float(fit.values[3]), float(fit.values[4]) if len(fit.values) > 4 else 0.0
     if kind == "perturbation axes":
@@ -356,6 +356,8 @@ def _linear(spectra: Spectra, kind: Kind, none: _Fit) -> tuple[Imbalance, _Fit]:
     else:
         recorded = 1.0 / complex(gain, more)
         text, bias = f"force appears to be {_too_large(recorded.real)}", abs(recorded - 1.0)
+        if kind == "gain" and gain < 0.0:
+            return Imbalance(kind, f"{text} (it must be the force that the handle exerts on the hand)", 0.0, bias), fit
         if kind == "rotation":
             text = f"force {_by_angle(math.atan2(recorded.imag, recorded.real))}"
             text += f", and {_too_large(abs(recorded))}" if abs(abs(recorded) - 1.0) > LEAST_BIAS else ""
@@ -363,7 +365,11 @@ def _linear(spectra: Spectra, kind: Kind, none: _Fit) -> tuple[Imbalance, _Fit]:
 
 
 def _too_large(factor: float) -> str:
-    return f"{_percent(abs(factor - 1.0))} too {'large' if factor > 1.0 else 'small'}"
+    """What a gain does to a signal, in words."""
+    size = f"{_percent(abs(abs(factor) - 1.0))} too {'large' if abs(factor) > 1.0 else 'small'}"
+    if factor > 0.0:
+        return size
+    return f"of the wrong sign{f' and {size}' if abs(abs(factor) - 1.0) > LEAST_BIAS else ''}"
 
 
 def _by_angle(angle: float) -> str:

@@ -85,6 +85,15 @@ def test_the_gain_of_a_gauge_is_named_with_its_size(factor, noise):
     assert one.bias == pytest.approx(abs(factor - 1.0), rel=0.05)
 
 
+@pytest.mark.parametrize(("factor", "more"), [(-1.0, ""), (-1.1, " and 10 % too large")])
+def test_a_force_of_the_wrong_sign_is_named(factor, more):
+    d, f, x = signals()
+    wrong = found(d, factor * f, x)
+    assert wrong.text.startswith(f"force appears to be of the wrong sign{more} (it must be the force that the handle")
+    assert wrong.bias == pytest.approx(1.0 - factor, rel=0.02)
+    assert "of the wrong sign in x and " in found(d, f * [-1.0, 1.0], x).text
+
+
 def test_a_fault_is_named_though_encoders_are_noisy_at_high_frequencies():
     d, f, x = signals(displacement=2e-4)
     wrong = found(d, 1.07 * f, x)

@@ -36,7 +36,7 @@ BODY = ("i_", "m_", "b_", "k_")
 """How the names of inertia, damping and stiffness start, which are in proportion to the impedance."""
 
 REMEDIES: dict[Kind, str] = {
-    "gain": "Calibrate the gauge and the perturbation.",
+    "gain": "Check the sign of the force; calibrate the gauge and the perturbation.",
     "gains": "Calibrate the gauge, axis by axis.",
     "rotation": "Turn the force into the axes of the other signals (signals.force.axes, if it is by right angles).",
     "displacement axes": "Turn x and y of the displacement into the axes of the other signals.",
