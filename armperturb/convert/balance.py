@@ -111,7 +111,11 @@ def check_balance(
     if balance.imbalance is not None:
         notes = [balance.imbalance.text]
     if declared.left > UNBALANCED and not notes:  # which a skew would explain
-        notes.append(f"{_in_numbers(declared)}; expected less than {UNBALANCED:g} of it")
+        notes.append(
+            f"d - f moves a mass of {declared.mass:.3g} kg, but {declared.left:.2g} of its power is left unexplained; "
+            f"expected less than {UNBALANCED:g} (a force sensor that is noisy or has a dead band, friction of the "
+            "manipulator, motors that make another force than commanded, or one trial that differs from others?)"
+        )
     # Rows 0 and 1 of the products are d, 2 and 3 are f.
     pushed, load = (float(np.trace(sides @ gram @ sides.T)) for sides in (signal_row(0), signal_row(0) - signal_row(1)))
     if pushed < SEEN * load:

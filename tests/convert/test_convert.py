@@ -391,6 +391,14 @@ def test_a_refusal_that_nothing_explains_asks_for_the_sensors():
         check_balance(laboratory_recording((d, np.where(np.arange(N_TIME)[:, None] < N_TIME // 2, f, -d), x)))
 
 
+def test_what_noise_leaves_of_the_load_is_noted_with_its_likely_causes():
+    trials = [handle(seed) for seed in range(3)]
+    noise = np.random.default_rng(0).normal(size=(3, N_TIME, 2))
+    (note,) = check_balance(laboratory_recording(*((d, f + n, x) for (d, f, x), n in zip(trials, noise, strict=True))))
+    said = r"d - f moves a mass of (2\.9|3)\S* kg, but 0\.0[34]\d* of its power is left unexplained; expected less than"
+    assert re.match(rf"{said} 0.02 \(a force sensor that is noisy", note)
+
+
 def test_one_trial_that_was_turned_is_named_among_others():
     d, f, x = handle(1)
     with pytest.raises(ValueError, match=r"damper in trial 2 \(.*the sign of force were turned"):
