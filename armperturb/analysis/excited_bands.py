@@ -13,8 +13,8 @@ EXCITED = 1e-3
 WIDTH = 0.1
 """Width of the bands over which spectra are averaged [Hz]: a delay hardly turns the phase within one."""
 
-ROUND_OFF = 1e-8
-"""Least noise, relative to the signal [-]."""
+ROUND_OFF = 1e-7
+"""Least noise, relative to the signal [-]: differences of products hold round-off of nearly 1e-8 of it."""
 
 
 class Spectra(NamedTuple):
@@ -59,7 +59,7 @@ def excited_spectra(signals: tuple[Array, Array, Array], rate: float, edge: int,
 
     def tapered(spectrum: ComplexArray) -> list[ComplexArray]:
         inner = fft.irfft(spectrum * smooth[:, None], n_padded, axis=1)[:, edge : edge + n_inner]
-        lines = fft.rfft(inner * taper[:, None], axis=1)[:, used]
+        lines = fft.rfft(signal.detrend(inner, axis=1) * taper[:, None], axis=1)[:, used]  # of sensors with offsets
         return [lines[..., 0], lines[..., 1]]
 
     d, f, x = (fft.rfft(values, n_padded, axis=1) for values in signals)

@@ -141,8 +141,9 @@ class Balance:
 
         def tapered(spectrum: ComplexArray) -> ComplexArray:
             values = fft.irfft(spectrum * smooth[:, None], self._n_padded, axis=1)
-            inner = values[:, self._n_edge : self._n_edge + len(self._taper)] * self._taper[:, None]
-            return np.asarray(fft.rfft(inner, axis=1)[:, self._used])
+            # In short records the taper would spread the offset, or drift, of a sensor over the lowest frequencies.
+            inner = signal.detrend(values[:, self._n_edge : self._n_edge + len(self._taper)], axis=1)
+            return np.asarray(fft.rfft(inner * self._taper[:, None], axis=1)[:, self._used])
 
         path = [-tapered(self._path * power[:, None]) for power in self._powers]
         terms = np.stack([tapered(self._load), *path, tapered(self._load * self._powers[1][:, None])])

@@ -4,7 +4,7 @@ Noise of the instruments is all that d - f - E^-1 x may hold, whatever the perso
 may put it right, each of which is fitted together with mass, damping and stiffness to all three signals:
 
 - another gain of the force, one or one per axis: a badly calibrated gauge;
-- a force that is turned: a sensor mounted at an angle;
+- a force, displacement or perturbation that is turned: a sensor mounted at an angle, or axes of another frame;
 - mass, damping or stiffness that differ between the axes, or couple them;
 - a delay of the force, of the displacement or of the perturbation against the other two.
 
@@ -21,8 +21,11 @@ from scipy import optimize, stats
 from armperturb.analysis.excited_bands import Spectra
 from armperturb.arrays import Array
 
-Kind: TypeAlias = Literal["gain", "gains", "rotation", "load", "force", "displacement", "perturbation", "unknown"]
-"""What is wrong: the force's gain, or those in x and y; its axes; the manipulator; the clock of a signal."""
+Kind: TypeAlias = Literal[
+    "gain", "gains", "rotation", "displacement axes", "perturbation axes", "load",
+    "force", "displacement", "perturbation", "unknown",
+]  # fmt: skip
+"""What is wrong: the force's gain, or those in x and y; axes of a signal; the manipulator; the clock of a signal."""
 
 FEWEST = 10
 """Excited bands below which nothing is compared."""
@@ -122,10 +125,13 @@ def inner_products(products: Array, terms: Array) -> Array:
 _LOAD = [-signal_row(place) for place in (2, 3, 4)]
 _BALANCE = signal_row(0) - signal_row(1)
 _DIFFERENT, _COUPLED = np.diag([1.0, -1.0]), np.array([[0.0, 1.0], [1.0, 0.0]])
+_TURNED = np.array([[0.0, -1.0], [1.0, 0.0]])
 _LINEAR: dict[Kind, tuple[Array, list[Array]]] = {
     "gain": (signal_row(0), [*_LOAD, -signal_row(1)]),
     "gains": (signal_row(0), [*_LOAD, -signal_row(1), -signal_row(1, _DIFFERENT)]),
-    "rotation": (signal_row(0), [*_LOAD, -signal_row(1), -signal_row(1, np.array([[0.0, -1.0], [1.0, 0.0]]))]),
+    "rotation": (signal_row(0), [*_LOAD, -signal_row(1), -signal_row(1, _TURNED)]),
+    "displacement axes": (_BALANCE, [*_LOAD, *(-signal_row(place, _TURNED) for place in (2, 3, 4))]),
+    "perturbation axes": (signal_row(0), [*_LOAD, -signal_row(1), -signal_row(0, _TURNED)]),
     "load": (
         _BALANCE,
         [*_LOAD, *(-signal_row(place, mixed) for mixed in (_DIFFERENT, _COUPLED) for place in (2, 3, 4))],
@@ -136,7 +142,9 @@ _LINEAR: dict[Kind, tuple[Array, list[Array]]] = {
 _REASONS: dict[Kind, str] = {
     "gain": "its calibration, or that of the perturbation",
     "gains": "its calibration",
-    "rotation": "the mounting of its sensor",
+    "rotation": "the mounting of its sensor: turn x and y of it back",
+    "displacement axes": "the axes of its sensor: turn x and y of it back",
+    "perturbation axes": "the axes of the motors: turn x and y of it back",
 }
 
 _DELAYED: dict[Kind, slice] = {"force": slice(2, 4), "displacement": slice(4, 10), "perturbation": slice(0, 2)}
@@ -327,28 +335,50 @@ def _late(spectra: Spectra, kind: Kind, weight: Array) -> tuple[Imbalance, _Fit]
 
 
 def _linear(spectra: Spectra, kind: Kind, none: _Fit) -> tuple[Imbalance, _Fit]:
-    """Another gain, or other axes, of the force, or another manipulator."""
+    """Another gain of the force, other axes of a signal, or another manipulator."""
     fit = _fitted(spectra, *_LINEAR[kind])
     if kind == "load":
         change = np.where(np.arange(10) < 4, 0.0, fit.weights - none.weights)
         bias = _relative(spectra, _power(spectra, change))
         return Imbalance(kind, f"the manipulator appears to have {_manipulator(spectra, fit)}", 0.0, bias), fit
+    if kind == "displacement axes":
+        along, across = fit.values.reshape(2, 3)
+        powers = np.array([spectra.counts @ _power(spectra, signal_row(2 + k)) for k in range(3)])
+        angle = math.atan2(-float(powers @ (along * across)), float(powers @ along**2))
+        return Imbalance(kind, f"displacement {_by_angle(angle)} ({_REASONS[kind]})", 0.0, _chord(angle)), fit
     gain, more = float(fit.values[3]), float(fit.values[4]) if len(fit.values) > 4 else 0.0
+    if kind == "perturbation axes":
+        bias = _chord(math.atan(more)) * _relative(spectra, _power(spectra, signal_row(0)))
+        return Imbalance(kind, f"perturbation {_by_angle(math.atan(more))} ({_REASONS[kind]})", 0.0, bias), fit
     if kind == "gains":
         x, y = 1.0 / (gain + more), 1.0 / (gain - more)
         text, bias = f"force appears to be {_too_large(x)} in x and {_too_large(y)} in y", max(abs(x - 1), abs(y - 1))
     else:
         recorded = 1.0 / complex(gain, more)
-        text, bias = f"force appears to be {_too_large(abs(recorded))}", abs(recorded - 1.0)
+        text, bias = f"force appears to be {_too_large(recorded.real)}", abs(recorded - 1.0)
+        if kind == "gain" and gain < 0.0:
+            return Imbalance(kind, f"{text} (it must be the force that the handle exerts on the hand)", 0.0, bias), fit
         if kind == "rotation":
-            angle = math.degrees(math.atan2(recorded.imag, recorded.real))
-            text = f"force appears to be turned by {abs(angle):.3g}° from {'x to y' if angle > 0.0 else 'y to x'}"
+            text = f"force {_by_angle(math.atan2(recorded.imag, recorded.real))}"
             text += f", and {_too_large(abs(recorded))}" if abs(abs(recorded) - 1.0) > LEAST_BIAS else ""
     return Imbalance(kind, f"{text} ({_REASONS[kind]})", 0.0, bias), fit
 
 
 def _too_large(factor: float) -> str:
-    return f"{_percent(abs(factor - 1.0))} too {'large' if factor > 1.0 else 'small'}"
+    """What a gain does to a signal, in words."""
+    size = f"{_percent(abs(abs(factor) - 1.0))} too {'large' if abs(factor) > 1.0 else 'small'}"
+    if factor > 0.0:
+        return size
+    return f"of the wrong sign{f' and {size}' if abs(abs(factor) - 1.0) > LEAST_BIAS else ''}"
+
+
+def _by_angle(angle: float) -> str:
+    return f"appears to be turned by {abs(math.degrees(angle)):.3g}° from {'x to y' if angle > 0.0 else 'y to x'}"
+
+
+def _chord(angle: float) -> float:
+    """How far a rotation moves what is turned, relative to it [-]."""
+    return 2.0 * abs(math.sin(0.5 * angle))
 
 
 def _manipulator(spectra: Spectra, fit: _Fit) -> str:

@@ -1,8 +1,9 @@
-"""How well trials tell the manipulator in which they were recorded."""
+"""How well trials tell the manipulator in which they were recorded, and whether it is possible."""
 
 import numpy as np
 
 from armperturb.analysis.per_trials import per_trials
+from armperturb.analysis.signs import no_handle, wrong_signs
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
 
@@ -18,3 +19,17 @@ def manipulator_covariance(trials: ConditionTrials) -> Array:
     if trials.whole is not None:
         return manipulator_covariance(trials.whole)
     return trials.balance.covariance(*trials.instruments)
+
+
+@per_trials
+def impossible(trials: ConditionTrials) -> tuple[str, ...]:
+    """What of the signals no handle can show, a sentence without full stop: signs, axes or units; mostly nothing."""
+    if trials.whole is not None:
+        return impossible(trials.whole)
+    wrong, _ = wrong_signs(trials.recording)
+    if not wrong and trials.given is None:
+        try:
+            wrong = no_handle(trials.environment)
+        except (ValueError, np.linalg.LinAlgError):  # of too little movement
+            return ()
+    return (wrong,) if wrong else ()

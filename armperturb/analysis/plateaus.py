@@ -1,4 +1,4 @@
-"""Stretches of a channel in which it stands still at its largest or smallest value, as clipped signals do."""
+"""Stretches in which a channel stands still: at its largest or smallest value, or while what drives it goes on."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,17 +20,36 @@ LEVEL = 0.05
 AT_LEVELS = 0.8
 """Share of them that all its levels have together, at least [-]; a clipped signal is at its two limits for less."""
 
+HELD, FEWEST = 0.1, 5
+"""Shortest stretch that counts as held [s], and the fewest equal samples in it."""
 
-def clipped_stretches(values: Array, *, is_command: bool = False) -> list[tuple[int, int]]:
+CHANGES = 0.3
+"""Range of the drive in such a stretch, relative to its standard deviation, from which on it goes on [-]."""
+
+RARE = 0.02
+"""Share of steps without change elsewhere below which a channel is fine enough to change all the time [-]."""
+
+JUMP = 5.0
+"""Step at the end of a stretch, relative to the RMS step of the channel, that counts as a jump [-]."""
+
+SLOWLY = 0.5
+"""Step at the end of a stretch, relative to the next, below which the channel starts from standstill [-]; by constant
+acceleration it is at most a third."""
+
+
+def clipped_stretches(values: Array, *, is_command: bool = False, may_rest: bool = False) -> list[tuple[int, int]]:
     """First sample and end of each stretch at the largest or smallest value that is entered and left steeply.
 
     Args:
       values: of one channel, (time,), not all equal.
-      is_command: whether it is a perturbation, which may be a square wave of two or more levels; it has none then.
+      is_command: whether it is a perturbation, which may rest at zero, or be a square wave of two or more levels; it
+        has none then.
+      may_rest: whether another channel may rest at zero.
     """
     if is_command and _is_square(values):
         return []
-    return [*_plateaus(values), *_plateaus(-values)]
+    sides = [side for side in (values, -values) if side.max() != 0.0 or not (is_command or may_rest)]
+    return [stretch for side in sides for stretch in _plateaus(side)]
 
 
 def _is_square(values: Array) -> bool:
@@ -40,8 +59,6 @@ def _is_square(values: Array) -> bool:
 
 def _plateaus(values: Array) -> list[tuple[int, int]]:
     top = float(values.max())
-    if top == 0.0:  # where a disturbance rests
-        return []
     steps = np.abs(np.diff(values))
     moving = steps[steps > 0.0]
     resolution, usual = float(moving.min()), float(np.sqrt(np.mean(steps**2)))
@@ -54,6 +71,37 @@ def _plateaus(values: Array) -> list[tuple[int, int]]:
         if slope > STEEP * usual and 0.25 * slope * (last - first) > BEYOND * resolution:
             plateaus.append((first, last))
     return plateaus
+
+
+def held_stretches(values: Array, drive: Array, rate: float) -> list[tuple[int, int]]:
+    """First sample and end of each stretch in which a channel stands still while what drives it changes.
+
+    Coarse channels often stand still for some samples: of these only stretches count that end with a jump.
+
+    Args:
+      values: of one channel, (time,).
+      drive: the perturbation, or the displacement that a device imposes, (time, axis).
+      rate: of the samples [Hz].
+    """
+    steps = np.abs(np.diff(values))
+    still = steps == 0.0
+    if still.all():
+        return []
+    n_still = int(np.count_nonzero(still))
+    jump = max(JUMP * float(np.sqrt(np.mean(steps**2))), BEYOND * float(steps[~still].min()))
+    held = []
+    for first, end in runs(still):
+        n = end - first
+        early = drive[first : end + 1 - n // 4]  # what changes near the end may be seen after it only
+        goes_on = (np.ptp(early, axis=0) > CHANGES * drive.std(axis=0)).any()
+        if first == 0 or n + 1 < max(HELD * rate, FEWEST) or not goes_on:
+            continue
+        after = steps[end : end + 2]
+        starts_slowly = len(after) == 2 and after[0] < SLOWLY * after[1]  # as from a rest that friction held
+        is_fine = n_still - n < RARE * (len(steps) - n)
+        if (is_fine and not starts_slowly) or (after[:1] > jump).any():
+            held.append((first, end + 1))
+    return held
 
 
 def runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:

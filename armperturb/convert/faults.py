@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import interpolate
 
-from armperturb.analysis.plateaus import LEAST_RUN, clipped_stretches, runs
+from armperturb.analysis.plateaus import LEAST_RUN, clipped_stretches, held_stretches, runs
 from armperturb.arrays import Array
 from armperturb.convert.tables import Repair
 from armperturb.recording import REQUIRED_SIGNALS, Action, HighPass
@@ -298,11 +298,14 @@ def find_stuck(timed: Timed) -> list[Fault]:
                 continue
             if name == "displacement" and timed.servo == "position":  # which may hold its position
                 continue
-            plateaus = clipped_stretches(samples, is_command=name == "perturbation")
+            # Where nothing perturbs, people push and rest.
+            plateaus = clipped_stretches(samples, is_command=name == "perturbation", may_rest=is_still)
             if plateaus:
                 first, last = min(plateaus)
+                is_lost = name == "displacement" and samples[first] == 0.0
+                lost = " (lost markers? left empty, they count as gaps)" if is_lost else ""
                 clipped = f"clipped at {samples[first]:.6g} for {(last - first) / rate:.4g} s at {first / rate:.6g} s"
-                faults.append(Fault("trials", f"{channel} ({name}) is {clipped}, {len(plateaus)} times in all"))
+                faults.append(Fault("trials", f"{channel} ({name}) is {clipped}, {len(plateaus)} times in all{lost}"))
     return [*faults, *_held(timed)]
 
 
@@ -311,7 +314,10 @@ def _required(timed: Timed) -> list[str]:
 
 
 def _held(timed: Timed) -> list[Fault]:
-    """Stretches in which no signal changes although the disturbance does before and after: the recorder stopped."""
+    """Stretches in which no signal changes although the disturbance does before and after: the recorder stopped.
+
+    And those in which force or displacement alone does not change although what drives it does: a sensor stopped.
+    """
     names = _required(timed)
     parts = [timed.signals[name] for name in names]
     if len({len(part) for part in parts}) > 1 or len({timed.rates[name] for name in names}) > 1:
@@ -319,10 +325,22 @@ def _held(timed: Timed) -> list[Fault]:
     same = (np.diff(np.concatenate(parts, axis=1), axis=0) == 0.0).all(axis=1)
     changes = (np.diff(parts[0], axis=0) != 0.0).any(axis=1)
     rate = timed.rates[names[0]]
-    return [
-        Fault("trials", f"all channels hold their value for {(last - first) / rate:.4g} s at {first / rate:.6g} s")
+    stretches = [
+        ("all channels hold their", first, last)
         for first, last in runs(same)
         if last - first >= LEAST_RUN - 1 and first > 0 and last < len(same) and changes[first - 1] and changes[last]
+    ]
+    drive = "displacement" if timed.servo == "position" else "perturbation"
+    stretches += [
+        (f"{channel} ({name}) holds its", first, last)
+        for name in ("displacement", "force")
+        for channel, samples in zip(timed.components[name], timed.signals[name].T, strict=True)
+        if name != drive
+        for first, last in held_stretches(samples, timed.signals[drive], rate)
+    ]
+    return [
+        Fault("trials", f"{what} value for {(last - first) / rate:.4g} s at {first / rate:.6g} s")
+        for what, first, last in stretches
     ]
 
 

@@ -46,6 +46,9 @@ OF_ONE_AXIS = (
 )
 """Said where no name shows what the signals are."""
 
+IMPOSED = "a device that imposes movement in two axes is not supported; along one it is (servo: position, only x)"
+"""Said where force and movement have two axes, and nothing is left that may perturb."""
+
 CHECKS = {field: f"{MEANINGS[field]} ({origin})" for field, origin in TABLES["origins"].items()}
 """Field that has to be filled in to what it means, and why its value is a guess."""
 
@@ -167,11 +170,12 @@ def _guess(
     if not has_axes:
         said.append(OF_ONE_AXIS)
     content["axes"], guessed["axes"] = {"x": "right", "y": "forward"}, CHECKS["axes"]
-    others = ", ".join(column.channel for column in columns)
-    content["signals"] = {
-        name: _signal(name, [pair for pair in stems.values() if len(pair) == 2], others, guessed)
-        for name, stems in pairs.items()
-    }
+    complete = {name: [pair for pair in stems.values() if len(pair) == 2] for name, stems in pairs.items()}
+    taken = {each.channel for of_signal in complete.values() for pair in of_signal[:1] for each in pair.values()}
+    others = ", ".join(column.channel for column in singles if column.channel not in taken)
+    content["signals"] = {name: _signal(name, of_signal, others, guessed) for name, of_signal in complete.items()}
+    if complete["force"] and complete["displacement"] and not complete["perturbation"]:
+        said.append(f"no channels of a perturbation in x and y were recognised: {IMPOSED}, see docs/recordings.md")
     _add_labels(path, labels, trial, content, guessed)
     if dialect != Dialect():
         content["csv"] = dialect._asdict()
@@ -191,7 +195,9 @@ def _signal(name: str, pairs: Sequence[Mapping[str, Column]], others: str, guess
         signal["exerted_by"] = "handle"
     if not pairs:
         for axis in "xy":
-            guessed[f"{field}.channels.{axis}"] = f"the channel of {SIGNALS[name][2]}, one of: {others}"[:190]
+            which = f"one of: {others}" if others else "for which no column is left"
+            which += f" ({IMPOSED})" if name == "perturbation" and not others else ""
+            guessed[f"{field}.channels.{axis}"] = f"the channel of {SIGNALS[name][2]}, {which}"[:190]
         return signal
     pair = pairs[0]
     signal["channels"] = {axis: pair[axis].channel for axis in "xy"}

@@ -85,6 +85,15 @@ def test_the_gain_of_a_gauge_is_named_with_its_size(factor, noise):
     assert one.bias == pytest.approx(abs(factor - 1.0), rel=0.05)
 
 
+@pytest.mark.parametrize(("factor", "more"), [(-1.0, ""), (-1.1, " and 10 % too large")])
+def test_a_force_of_the_wrong_sign_is_named(factor, more):
+    d, f, x = signals()
+    wrong = found(d, factor * f, x)
+    assert wrong.text.startswith(f"force appears to be of the wrong sign{more} (it must be the force that the handle")
+    assert wrong.bias == pytest.approx(1.0 - factor, rel=0.02)
+    assert "of the wrong sign in x and " in found(d, f * [-1.0, 1.0], x).text
+
+
 def test_a_fault_is_named_though_encoders_are_noisy_at_high_frequencies():
     d, f, x = signals(displacement=2e-4)
     wrong = found(d, 1.07 * f, x)
@@ -107,6 +116,24 @@ def test_a_sensor_at_an_angle_is_named_with_the_angle(noise):
     assert float(said[1]) == pytest.approx(10.0, rel=0.01)
     said = re.search(r"turned by ([\d.]+)° from y to x, and 10 % too small", found(d, 0.9 * f @ TURNED, x).text)
     assert float(said[1]) == pytest.approx(10.0, rel=0.01)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+@pytest.mark.parametrize(("place", "name"), [(0, "perturbation"), (2, "displacement")])
+def test_a_signal_in_axes_that_are_turned_is_named_with_the_angle(place, name, noise):
+    three = signals(noise=noise)
+    for turn, sense in ((TURNED, "x to y"), (TURNED.T, "y to x"), (np.linalg.matrix_power(TURNED, 4), "x to y")):
+        turned = [each @ turn.T if at == place else each for at, each in enumerate(three)]
+        wrong = found(*turned)
+        assert wrong.kind == f"{name} axes"
+        assert wrong.share > 0.95
+        said = re.match(
+            rf"{name} appears to be turned by ([\d.]+)° from {sense} \(.*: turn x and y of it back", wrong.text
+        )
+        angle = abs(math.atan2(turn[1, 0], turn[0, 0]))
+        assert float(said[1]) == pytest.approx(math.degrees(angle), rel=0.02)
+        if place == 2:
+            assert wrong.bias == pytest.approx(2.0 * math.sin(0.5 * angle), rel=0.02)
 
 
 @pytest.mark.parametrize("noise", [0.0, 1.0])

@@ -1,6 +1,7 @@
 """Sidecars that are written from names and numbers: what they guess, what they leave open, and that they work."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -175,13 +176,26 @@ def test_what_cannot_be_guessed_is_left_open_and_named_when_the_file_is_read(tmp
     sidecar["rate"] = RATE
     written.path.write_text(json.dumps(sidecar))
     message = (
-        r"signals.perturbation.channels.x = '\?' is left open; expected the channel of disturbance force d .* c1, c2"
+        r"signals.perturbation.channels.x = '\?' is left open; expected the channel of disturbance force d .* "
+        r"one of: c1, c2, c3 \("
     )
     with pytest.raises(ValueError, match=message):
         import_recording([path])
     sidecar["signals"]["perturbation"]["channels"] = {"x": "c2", "y": "c3"}
     written.path.write_text(json.dumps(sidecar))
     assert_is_the_laboratory(import_recording([path]).recording)
+
+
+def test_a_device_that_imposes_movement_in_two_axes_is_said_to_be_unsupported(tmp_path):
+    path = tmp_path / "lab.csv"
+    path.write_text(as_text(np.delete(table(), [2, 3], axis=1), ["trial", "t", "Fx", "Fy", "X", "Y"]))
+    notes = write_sidecar(path).notes
+    unsupported = (
+        "a device that imposes movement in two axes is not supported; along one it is (servo: position, only x)"
+    )
+    assert f"no channels of a perturbation in x and y were recognised: {unsupported}, see docs/recordings.md" in notes
+    with pytest.raises(ValueError, match=f"for which no column is left .{re.escape(unsupported)}"):
+        import_recording([path])
 
 
 def test_two_channels_of_each_signal_are_two_axes_whatever_their_names(tmp_path):

@@ -22,6 +22,7 @@ from armperturb.analysis.fit.own_structures import composed
 from armperturb.analysis.fit.structures import Structure, is_published, structure_of, unit
 from armperturb.analysis.fit.thesis import ThesisEstimate, fit_trials
 from armperturb.analysis.fit.use_emg import UseOfEmg, told_without_emg
+from armperturb.analysis.manipulator import impossible
 from armperturb.analysis.measures.endpoint import EndpointImpedance
 from armperturb.analysis.measures.start_geometry import in_start_geometry
 from armperturb.analysis.measures.vaf import prediction_vaf
@@ -344,7 +345,11 @@ def identify_conditions(
             fits = {label: told_without_emg(fit) for label, fit in fits.items()}
     is_cut = estimator != "record" or emg is not None
     said = {
-        label: (*(cut_by_pulses(parts) if is_cut else ()), *remark_on_manipulators(parts))
+        label: (
+            *dict.fromkeys(wrong for part in parts for wrong in impossible(part)),
+            *(cut_by_pulses(parts) if is_cut else ()),
+            *remark_on_manipulators(parts),
+        )
         for label, parts in conditions.items()
     }
     return Identifications(

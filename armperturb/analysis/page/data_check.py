@@ -7,7 +7,7 @@ import numpy as np
 
 from armperturb.analysis.force_balance import NoiseLevels, Skew
 from armperturb.analysis.imbalance import Imbalance
-from armperturb.analysis.plateaus import LEAST_RUN, clipped_stretches, runs
+from armperturb.analysis.plateaus import LEAST_RUN, clipped_stretches, held_stretches, runs
 from armperturb.analysis.trials import ConditionTrials, common_period
 from armperturb.environment import Environment
 
@@ -30,7 +30,7 @@ class DataCheck(NamedTuple):
       skew: of the clocks of force and displacement.
       imbalance: what is wrong with a signal or the manipulator; None where nothing is known to be.
       clipped: signal and axis to the number of samples that are clipped, where there are any.
-      held: longest stretch in which neither force nor displacement changes [s].
+      held: longest stretch in which neither force nor displacement changes, or a sensor alone stands still [s].
     """
 
     n_trials: int
@@ -100,10 +100,10 @@ def _clipped(parts: Sequence[ConditionTrials]) -> dict[str, int]:
 
 
 def _held(trials: ConditionTrials) -> float:
-    """Longest stretch of at least `LEAST_RUN` samples without change of force and displacement together [s]."""
-    both = np.concatenate(trials.signals[1:], axis=2)
-    longest = max(
-        (end - start + 1 for trial in both for start, end in runs((np.diff(trial, axis=0) == 0.0).all(axis=1))),
-        default=0,
-    )
+    """Longest stretch without change of force and displacement together, or of a channel alone that is stuck [s]."""
+    longest = 0
+    for drive, values in zip(trials.signals[0], np.concatenate(trials.signals[1:], axis=2), strict=True):
+        together = runs((np.diff(values, axis=0) == 0.0).all(axis=1))
+        alone = [held for channel in values.T for held in held_stretches(channel, drive, trials.rate)]
+        longest = max([longest, *(end - start + 1 for start, end in together), *(end - start for start, end in alone)])
     return longest / trials.rate if longest >= LEAST_RUN else 0.0

@@ -36,9 +36,11 @@ BODY = ("i_", "m_", "b_", "k_")
 """How the names of inertia, damping and stiffness start, which are in proportion to the impedance."""
 
 REMEDIES: dict[Kind, str] = {
-    "gain": "Calibrate the gauge and the perturbation.",
+    "gain": "Check the sign of the force; calibrate the gauge and the perturbation.",
     "gains": "Calibrate the gauge, axis by axis.",
     "rotation": "Turn the force into the axes of the other signals (signals.force.axes, if it is by right angles).",
+    "displacement axes": "Turn x and y of the displacement into the axes of the other signals.",
+    "perturbation axes": "Turn x and y of the perturbation into the axes of the other signals.",
     "load": "Make the manipulator alike in all directions: a mass, damping and stiffness.",
     "unknown": "Pass all signals through the same filters, and check each sensor.",
 }

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START
+from armperturb.analysis.manipulator import impossible
 from armperturb.analysis.pulses_alone import used_whole
 from armperturb.analysis.response.arx import fit_arx
 from armperturb.analysis.response.closed_loop import estimate_multisine, estimate_noise
@@ -194,7 +195,8 @@ def response(
     method = "multisine" if method is None else method
     require_one_of("response", "method", method, list(METHODS))
     label = f"{named([trials.recording for trials in several])}, {method}"
-    return replace(METHODS[method](several, frequency=frequency, **options), label=label)
+    remarks = tuple(dict.fromkeys(wrong for trials in several for wrong in impossible(trials)))
+    return replace(METHODS[method](several, frequency=frequency, **options), label=label, remarks=remarks)
 
 
 def _records_and_frequencies(

@@ -66,6 +66,7 @@ class FrequencyResponse(Result):
       dof: complex degrees of freedom behind `covariance`, (frequency,); None if it is as good as exact.
       environment: mass, damping and stiffness whose force balance made the signals better; None if none did.
       label: of whom, in which condition and by which method, for people to read.
+      remarks: what a reader must know before trusting it, a sentence each.
 
     Raises:
       ValueError: shapes do not fit together.
@@ -78,6 +79,7 @@ class FrequencyResponse(Result):
     dof: Array | None = None
     environment: Environment | None = None
     label: str = ""
+    remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         n, shape = len(self.frequency), self.response.shape
@@ -171,6 +173,7 @@ class FrequencyResponse(Result):
                 ("frequency [Hz]", *(f"H_{LABELS['axis'][i]}{LABELS['axis'][j]}" for i, j in elements)),
                 tuple((plain(f), *(cell(k, i, j) for i, j in elements)) for k, f in enumerate(self.frequency)),
             ),
+            remarks=self.remarks,
         )
 
     def to_frame(self) -> "pd.DataFrame":
