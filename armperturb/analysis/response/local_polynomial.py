@@ -64,8 +64,12 @@ class Window(NamedTuple):
 
     def only(self, chosen: NDArray[np.bool_]) -> "Window":
         """Some of the lines."""
-        of_lines = (self.frequency, self.perturbation, self.answer, self.excited)
-        return Window(*(values[chosen] for values in of_lines), leaks=self.leaks)
+        return self._replace(
+            frequency=self.frequency[chosen],
+            perturbation=self.perturbation[chosen],
+            answer=self.answer[chosen],
+            excited=self.excited[chosen],
+        )
 
 
 def whole_window(record: TrialRecord) -> Window:
