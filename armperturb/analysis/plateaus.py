@@ -89,12 +89,13 @@ def held_stretches(values: Array, drive: Array, rate: float) -> list[tuple[int, 
         return []
     n_still = int(np.count_nonzero(still))
     jump = max(JUMP * float(np.sqrt(np.mean(steps**2))), BEYOND * float(steps[~still].min()))
-    held = []
+    held, least_change = [], CHANGES * drive.std(axis=0)
     for first, end in runs(still):
         n = end - first
+        if first == 0 or n + 1 < max(HELD * rate, FEWEST):
+            continue
         early = drive[first : end + 1 - n // 4]  # what changes near the end may be seen after it only
-        goes_on = (np.ptp(early, axis=0) > CHANGES * drive.std(axis=0)).any()
-        if first == 0 or n + 1 < max(HELD * rate, FEWEST) or not goes_on:
+        if not (np.ptp(early, axis=0) > least_change).any():
             continue
         after = steps[end : end + 2]
         starts_slowly = len(after) == 2 and after[0] < SLOWLY * after[1]  # as from a rest that friction held
