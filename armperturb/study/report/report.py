@@ -124,8 +124,18 @@ def write_report(
     for name, lines in more.items():
         write_or_remove(lines, out / "tables" / f"{name}.csv")
     films = made["films"][0] if made["films"] else ""
-    tasks = [str(trial["task"].values[0]) for trial in pulses]
-    parts = sections(study, scored, tested, rows, yielding, shoulder, drawn, played, films, tasks)
+    parts = sections(
+        study,
+        scored,
+        tested,
+        rows,
+        yielding=yielding,
+        shoulder=shoulder,
+        drawn=drawn,
+        played=played,
+        films=films,
+        stills=[str(trial["task"].values[0]) for trial in pulses],
+    )
     page = _page(study, parts, drawn, checksums)
     report = out / "report.html"
     write_whole(report, page)

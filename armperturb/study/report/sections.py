@@ -45,6 +45,7 @@ def sections(
     score: Score | None,
     effects: Effects,
     rows: Mapping[str, list[Row]],
+    *,
     yielding: Yielding | None,
     shoulder: MovingShoulder | None,
     drawn: Collection[str],
