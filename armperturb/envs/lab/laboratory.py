@@ -86,8 +86,8 @@ class Laboratory:
     The arm takes a posture and finds its rest: its hand grips the handle, which is held, and velocities are braked
     until nothing moves any more. The force that the handle then exerts is borne by the manipulator in all trials, as
     the constant part of perturbation and force. Weights do not act unless `gravity` is set: a rope carries the arm, as
-    in the thesis. A hand that can leave the plane of the handle is held at its height by the
-    grip, with the same stiffness and damping; handles turn freely in hands.
+    in the thesis. A hand that can leave the plane of the handle is held at its height by the grip, with the same
+    stiffness and damping; handles turn freely in hands.
 
     Attributes:
       model: of arm and manipulator, whose parts have names that begin with "lab/".

@@ -1,6 +1,6 @@
 """What an arm looks like to an analysis that thinks of it as two segments in the plane of the handle."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -87,12 +87,7 @@ def segments_of(
     hinges = model.jnt_qposadr[joints]
     signs = np.sign(data.xaxis[joints, 2]) * (-1.0 if is_left else 1.0)
     offsets = np.round(_wrapped(angle - signs * data.qpos[hinges]), EXACT - 2)
-    return Segments(
-        **{name: getattr(segments, name) for name in ("is_left", "l_h", "l_f", "theta_s_deg", "theta_e_deg")},
-        hinges=tuple(map(int, hinges)),
-        signs=tuple(signs),
-        offsets=tuple(offsets + 0.0),
-    )
+    return replace(segments, hinges=tuple(map(int, hinges)), signs=tuple(signs), offsets=tuple(offsets + 0.0))
 
 
 def _wrapped(angle: Array) -> Array:
