@@ -1,5 +1,7 @@
 """How well trials tell the manipulator in which they were recorded, and whether it is possible."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from armperturb.analysis.per_trials import per_trials
@@ -21,11 +23,15 @@ def manipulator_covariance(trials: ConditionTrials) -> Array:
     return trials.balance.covariance(*trials.instruments)
 
 
+def impossible(parts: Sequence[ConditionTrials]) -> tuple[str, ...]:
+    """What of the signals of a condition no handle can show, a line each: signs, axes or units; mostly nothing."""
+    return tuple(dict.fromkeys(wrong for part in parts for wrong in _impossible(part)))
+
+
 @per_trials
-def impossible(trials: ConditionTrials) -> tuple[str, ...]:
-    """What of the signals no handle can show, a sentence without full stop: signs, axes or units; mostly nothing."""
+def _impossible(trials: ConditionTrials) -> tuple[str, ...]:
     if trials.whole is not None:
-        return impossible(trials.whole)
+        return _impossible(trials.whole)
     wrong, _ = wrong_signs(trials.recording)
     if not wrong and trials.given is None:
         try:

@@ -19,18 +19,18 @@ WRONG = {
 
 @pytest.mark.parametrize("said", WRONG)
 def test_signs_axes_and_units_that_no_handle_has_are_named(said):
-    assert impossible(prepared(laboratory_recording(*map(handle, range(2))))) == ()
+    assert impossible([prepared(laboratory_recording(*map(handle, range(2))))]) == ()
     trials = prepared(laboratory_recording(*(WRONG[said](*handle(seed)) for seed in range(2))))
-    (wrong,) = impossible(trials)
+    (wrong,) = impossible([trials])
     assert said in wrong
-    assert impossible(trials.take([0])) == (wrong,)
+    assert impossible([trials.take([0])]) == (wrong,)
 
 
 @pytest.mark.parametrize("seconds", [0.5, 3.0])
 def test_records_that_are_too_short_to_judge_are_left_alone(seconds):
     d, f, x = handle()
     n = round(200 * seconds)
-    assert impossible(prepared(laboratory_recording((d[:n], -f[:n], x[:n])))) == ()
+    assert impossible([prepared(laboratory_recording((d[:n], -f[:n], x[:n])))]) == ()
 
 
 def test_responses_and_fits_remark_on_them():

@@ -16,7 +16,7 @@ from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START, Estima
 from armperturb.analysis.fit.arm_fit import ArmFit, facts_of_arm
 from armperturb.analysis.fit.group import Group, parts_by_condition, remark_on_manipulators
 from armperturb.analysis.fit.ladder import Choice, choose_structure, nearest_to_linear
-from armperturb.analysis.fit.left_out import cut_by_pulses, too_short
+from armperturb.analysis.fit.left_out import cut_by_pulses, used_conditions
 from armperturb.analysis.fit.maximum_likelihood import Estimate, estimate
 from armperturb.analysis.fit.own_structures import composed
 from armperturb.analysis.fit.structures import Structure, is_published, structure_of, unit
@@ -26,7 +26,6 @@ from armperturb.analysis.manipulator import impossible
 from armperturb.analysis.measures.endpoint import EndpointImpedance
 from armperturb.analysis.measures.start_geometry import in_start_geometry
 from armperturb.analysis.measures.vaf import prediction_vaf
-from armperturb.analysis.pulses_alone import PULSES_ALONE, fitted_whole
 from armperturb.analysis.response.condition_spectra import condition_spectra
 from armperturb.analysis.response.spectra import SpectralEstimate
 from armperturb.analysis.results import Description, Result, Table, parameter_table, plain
@@ -295,16 +294,7 @@ def identify_conditions(
         conditions = parts_by_condition(trials)
     for part in itertools.chain(*conditions.values()):
         require_two_axes(part.recording)
-    perturbed = {
-        label: parts for label, parts in conditions.items() if all(part.is_perturbed(window_start) for part in parts)
-    }
-    if perturbed:
-        remarks = too_short(conditions, perturbed, window_start)
-        conditions = perturbed
-    else:
-        whole = {label: tuple(fitted_whole(parts)) for label, parts in conditions.items()}
-        remarks = [PULSES_ALONE] if whole != conditions else []
-        conditions = whole
+    conditions, remarks = used_conditions(conditions, window_start)
     for parts in conditions.values():
         for part in parts:
             part.check_period(window_start, period)
@@ -346,7 +336,7 @@ def identify_conditions(
     is_cut = estimator != "record" or emg is not None
     said = {
         label: (
-            *dict.fromkeys(wrong for part in parts for wrong in impossible(part)),
+            *impossible(parts),
             *(cut_by_pulses(parts) if is_cut else ()),
             *remark_on_manipulators(parts),
         )

@@ -1,30 +1,42 @@
-"""What of the trials a fit does not use, in words."""
+"""Which trials a fit uses, and what it does not use, in words."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from armperturb.analysis.pulses_alone import PULSES_ALONE, fitted_whole
 from armperturb.analysis.trials import ConditionTrials
 
 MUCH = 0.1
 """Share of what comes before pulses from which on it is told that it is not used [-]."""
 
 
-def too_short(
-    conditions: Mapping[str, Sequence[ConditionTrials]], identified: Collection[str], window_start: float
-) -> list[str]:
-    """Conditions that are left out although something perturbs their trials, a line each.
+def used_conditions(
+    conditions: Mapping[str, tuple[ConditionTrials, ...]], window_start: float
+) -> tuple[dict[str, tuple[ConditionTrials, ...]], list[str]]:
+    """Conditions that are fitted, and remarks on what is left out.
+
+    Those in which nothing perturbs the window are left out if there are others; if there are none, trials are used with
+    their pulses.
 
     Args:
       conditions: all of them.
-      identified: those that are not left out.
       window_start: from when on every trial has to be perturbed [s].
+
+    Raises:
+      ValueError: as `fitted_whole`.
     """
-    return [
+    perturbed = {
+        label: parts for label, parts in conditions.items() if all(part.is_perturbed(window_start) for part in parts)
+    }
+    if not perturbed:
+        whole = {label: tuple(fitted_whole(parts)) for label, parts in conditions.items()}
+        return whole, [PULSES_ALONE] if whole != conditions else []
+    return perturbed, [
         f"{label} is not identified, as a trial of it ends or is pulsed before {window_start:g} s (an earlier "
         "--window-start)"
         for label, parts in conditions.items()
-        if label not in identified and any(part.is_perturbed(0.0) for part in parts)
+        if label not in perturbed and any(part.is_perturbed(0.0) for part in parts)
     ]
 
 

@@ -195,8 +195,7 @@ def response(
     method = "multisine" if method is None else method
     require_one_of("response", "method", method, list(METHODS))
     label = f"{named([trials.recording for trials in several])}, {method}"
-    remarks = tuple(dict.fromkeys(wrong for trials in several for wrong in impossible(trials)))
-    return replace(METHODS[method](several, frequency=frequency, **options), label=label, remarks=remarks)
+    return replace(METHODS[method](several, frequency=frequency, **options), label=label, remarks=impossible(several))
 
 
 def _records_and_frequencies(

@@ -36,7 +36,6 @@ N_INPUTS = 2
 LARGEST_CONDITION = 1e6
 """Condition number above which the effects of two disturbances are not separately identifiable [-]."""
 
-
 STILL = 0.2, 1.0
 """No disturbance acts for so long before and after what does not leak [s], and for the last quarter of a record."""
 

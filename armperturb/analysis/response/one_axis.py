@@ -68,7 +68,6 @@ class AxisResponse(FrequencyResponse):
         (frequency,); unbiased, so that it may come out negative.
       distortion_limit: below which it stays with a probability of `LEVEL` if the limb is linear [-], (frequency,).
       p_linear: probability of as much distortion at all frequencies together if the limb is linear [-].
-      remarks: what a reader must know before trusting the response, a sentence each.
     """
 
     kind: str
@@ -77,7 +76,6 @@ class AxisResponse(FrequencyResponse):
     distortion: Array
     distortion_limit: Array
     p_linear: float
-    remarks: tuple[str, ...] = ()
 
     def describe(self) -> Description:
         """What was estimated, and its values at each frequency."""
