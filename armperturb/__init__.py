@@ -9,7 +9,6 @@ from typing import Any
 
 import lazy_loader
 
-from armperturb.compile_cache import provide_cache
 from armperturb.envs.learning.registration import register_environments
 from armperturb.extras import naming_the_extra
 
@@ -23,5 +22,4 @@ def __getattr__(name: str) -> Any:
         return _attribute(name)
 
 
-provide_cache()
 register_environments()

@@ -1,14 +1,35 @@
-"""Compiled by numba where it is installed; plain Python, a hundred times slower, where it is not."""
+"""Functions that numba compiles, with compiled code that is kept as `compile_cache` says."""
 
 from collections.abc import Callable
 from typing import Any
 
+from armperturb.compile_cache import cache_folder
 
-def jit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """A decorator that compiles a function with these options of `numba.njit`, or leaves it as it is."""
+
+def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """A decorator that compiles a function with these options of `numba.njit`.
+
+    Raises:
+      ModuleNotFoundError: numba is not installed.
+    """
+    import numba
+
+    config: Any = numba.config
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        folder, usual = cache_folder(function.__module__), config.CACHE_DIR
+        config.CACHE_DIR = str(folder or usual)
+        try:
+            return numba.njit(cache=folder is not None, error_model="numpy", **options)(function)
+        finally:
+            config.CACHE_DIR = usual
+
+    return decorate
+
+
+def jit(function: Callable[..., Any]) -> Any:
+    """The function, compiled where numba is installed; plain Python, a hundred times slower, where it is not."""
     try:
-        from numba import njit
+        return compiled()(function)
     except ModuleNotFoundError:
-        return lambda function: function
-    decorator: Callable[[Callable[..., Any]], Any] = njit(**options)
-    return decorator
+        return function

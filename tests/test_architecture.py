@@ -33,7 +33,7 @@ ARROWS = {
     "compile_cache": set(),
     "extras": {"files"},
     "seeds": set(),
-    "jit": set(),
+    "jit": {"compile_cache"},
     "muscle_law": {"validation"},
     "person_files": {"files", "validation", "muscle_law"},
     "subject": {"files", "validation", "muscle_law", "person_files"},

@@ -12,7 +12,7 @@ def test_every_file_that_is_no_code_is_installed():
     package = ROOT / "armperturb"
     installed = {path for pattern in patterns for path in package.glob(pattern)}
     files = {path for path in package.rglob("*") if path.is_file() and path.suffix != ".py"}
-    files = {path for path in files if path.parent.name != "__pycache__"}
+    files = {path for path in files if "__pycache__" not in path.parts}
     assert files == installed
     assert all(list(package.glob(pattern)) for pattern in patterns)
 

@@ -119,7 +119,8 @@ def no_handle(environment: Environment, lower: float = LIGHTEST, upper: float = 
 
 def explained(gram: Array) -> Explained:
     """What mass, damping and stiffness explain of the load, from inner products of `wrong_signs`, (10, 10)."""
-    return _by_load(inner_products(gram, _load_terms(np.eye(2), np.eye(2))))
+    weights, left = _regressions(inner_products(gram, _load_terms(np.eye(2), np.eye(2)))[None])
+    return Explained(float(left[0]), float(weights[0, 0]))
 
 
 def _grams(d: Array, f: Array, x: Array, rate: float) -> Array:
@@ -153,15 +154,11 @@ def _load_terms(of_force: Array, of_displacement: Array) -> Array:
     )
 
 
-def _by_load(inner: Array) -> Explained:
-    weights, left = _regression(inner)
-    return Explained(left, float(weights[0]))
-
-
 def _remedy(gram: Array, least: float) -> str | None:
     """The smallest change of signs, axes or scale of the force that leaves at most so much, in words; None if none."""
     changed, terms = _turned()
-    tried = [(change, _by_load(inner)) for change, inner in zip(changed, inner_products(gram, terms), strict=True)]
+    weights, left = _regressions(inner_products(gram, terms))
+    tried = list(zip(changed, map(Explained, left.tolist(), weights[:, 0].tolist()), strict=True))
     gain, rescaled = _rescaled(gram)
     if gain > 0.0 and abs(np.log(gain)) > np.log(RESCALED) and rescaled.left < UNBALANCED:
         tried.append((f"force were multiplied by {gain:.4g} (the unit of one of the two forces)", rescaled))
@@ -201,17 +198,26 @@ def _change(name: str, matrix: Array) -> str | None:
 def _rescaled(gram: Array) -> tuple[float, Explained]:
     """Factor on the force that explains the perturbation best, and how well it does."""
     inner = inner_products(gram, np.stack([signal_row(place) for place in (0, 2, 3, 4, 1)]))
-    weights, left = _regression(inner)
+    (weights,), (left,) = _regressions(inner[None])
     gain = float(weights[-1])
     load = inner[0, 0] - 2.0 * gain * inner[0, 4] + gain**2 * inner[4, 4]
-    return gain, Explained(left * float(inner[0, 0] / load) if load > 0.0 else 1.0, float(weights[0]))
+    return gain, Explained(float(left * inner[0, 0] / load) if load > 0.0 else 1.0, float(weights[0]))
 
 
-def _regression(inner: Array) -> tuple[Array, float]:
-    """Weights with which the other terms explain the first, and the share of it that they leave."""
-    scale = np.sqrt(np.diag(inner))
-    if not (scale > 0.0).all():
-        return np.zeros(len(inner) - 1), 1.0
-    scaled = inner / np.outer(scale, scale)
-    weights = np.linalg.lstsq(scaled[1:, 1:], scaled[1:, 0], rcond=None)[0]
-    return np.asarray(weights * scale[0] / scale[1:]), max(1.0 - float(weights @ scaled[1:, 0]), 0.0)
+def _regressions(inner: Array) -> tuple[Array, Array]:
+    """Weights with which the other terms explain the first, and the share of it that they leave.
+
+    Args:
+      inner: products of the terms, (..., term, term).
+
+    Returns:
+      (..., other term), zero if a term is zero throughout, and (...), then one.
+    """
+    scale = np.sqrt(np.diagonal(inner, axis1=-2, axis2=-1))
+    moves = np.asarray((scale > 0.0).all(axis=-1, keepdims=True))
+    scale = np.where(moves, scale, 1.0)
+    scaled = inner / (scale[..., :, None] * scale[..., None, :]) * moves[..., None]
+    others = np.linalg.pinv(scaled[..., 1:, 1:], rcond=inner.shape[-1] * np.finfo(float).eps, hermitian=True)
+    weights = (others @ scaled[..., 1:, :1])[..., 0]
+    left = 1.0 - np.sum(weights * scaled[..., 1:, 0], axis=-1)
+    return weights * scale[..., :1] / scale[..., 1:], np.maximum(left, 0.0)

@@ -9,10 +9,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from armperturb.arrays import Array
 from armperturb.controllers.lanes import Table
+from armperturb.jit import compiled
 
 Lane = Any
 """A row of `lanes.control_columns`: compiled code knows its fields, type checkers do not."""
@@ -21,20 +21,20 @@ Memory = Any
 """A row of `lanes.control_memory`, likewise."""
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@compiled(forceinline=True)
 def bond_after(bond: float, survival: float, move: float, limit: float) -> float:
     """Strain of a part's bonds after a step [rad]: some let go, the others are stretched, up to the elastic limit."""
     return min(max(bond * survival + move, -limit), limit)
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@compiled(forceinline=True)
 def thinned_torque(velocity: float, damping: float, thinning: float) -> float:
     """What shear thinning takes from the torque of a linear damper [Nm]."""
     thinned = abs(velocity) * thinning
     return damping * velocity * (thinned / (1.0 + thinned))
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@compiled(forceinline=True)
 def law_torque(p: Lane, m: Memory, stretch: Array, velocity: Array, out: Array) -> None:
     """One step of the muscle law: the torque with which elements oppose stretch, beside the linear spring and damper.
 
@@ -69,7 +69,7 @@ def law_torque(p: Lane, m: Memory, stretch: Array, velocity: Array, out: Array) 
         out[element] -= thinned_torque(velocity[element], p.damping_groups[element], p.thinning[element])
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@compiled(forceinline=True)
 def spindle_velocity(velocity: float, saturation: float, direction: float, threshold: float) -> float:
     """Velocity that linear spindles would have to see to fire as these do [rad/s].
 
@@ -90,7 +90,7 @@ def spindle_velocity(velocity: float, saturation: float, direction: float, thres
     return min(1.0 + direction, 1.0) * up - min(1.0 - direction, 1.0) * down
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@compiled(forceinline=True)
 def spindle_excitation(p: Lane, q_s: float, q_e: float, w_s: float, w_e: float, out: Array) -> None:
     """Reflexive excitation u_r of both joints by the spindles [Nm], (joint,) (eq. 2.8).
 
@@ -117,14 +117,14 @@ def spindle_excitation(p: Lane, q_s: float, q_e: float, w_s: float, w_e: float, 
             out[1] += missing
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@compiled(forceinline=True)
 def between(before: float, older: float, newer: float, after: float, t: float) -> float:
     """The cubic of MuJoCo's delayed motors, at a share t of the way from the older to the newer of four samples."""
     first, last, rise = 0.5 * (newer - before), 0.5 * (after - older), newer - older
     return older + t * (first + t * (3.0 * rise - 2.0 * first - last + t * (first + last - 2.0 * rise)))
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@compiled(forceinline=True)
 def delayed(sent: Array, joint: int, newest: int, back: float) -> float:
     """What was sent some steps before the newest sample of a ring, see `between`.
 
@@ -145,7 +145,7 @@ def delayed(sent: Array, joint: int, newest: int, back: float) -> float:
     return between(before, older, newer, after, 1.0 - (back - whole))
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@compiled(forceinline=True)
 def _add_memory_reflexes(p: Lane, m: Memory, q: Array, w: Array, muscle: Array, timestep: float) -> None:
     """Add Ka q'' + Kf tau to the excitation (the law of `analysis.arm.linear_arm`).
 
@@ -170,7 +170,7 @@ def _add_memory_reflexes(p: Lane, m: Memory, q: Array, w: Array, muscle: Array, 
             m.excitation[joint] += p.ka[joint + other] * acceleration + p.kf[joint + other] * muscle[other]
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@compiled(forceinline=True)
 def activated(p: Lane, filters: Array, joint: int, excitation: float) -> float:
     """One step of a joint's activation filter: the active torque [Nm] (eq. B.19 as a transposed direct form II).
 
@@ -186,7 +186,7 @@ def activated(p: Lane, filters: Array, joint: int, excitation: float) -> float:
     return active
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@compiled(forceinline=True)
 def act(
     p: Lane, m: Memory, angle: Array, velocity: Array, timestep: float, work: Array, held: Array, sent: Array
 ) -> None:
@@ -240,7 +240,7 @@ def act(
         m.velocity[0, joint] = velocity[joint]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True)
 def act_all(
     table: Table, memory: Table, angle: Array, velocity: Array, timestep: float, held: Array, sent: Array
 ) -> None:
@@ -250,7 +250,7 @@ def act_all(
         act(table[lane], memory[lane], angle[lane], velocity[lane], timestep, work, held[lane], sent[lane])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True)
 def stretch_all(table: Table, memory: Table, stretch: Array, velocity: Array, torque: Array) -> None:
     """`law_torque` of many arms whose elements are moved by hand; arrays are (step, arm, element)."""
     for lane in range(len(table)):

@@ -8,11 +8,11 @@ MuJoCo is the reference in tests: at the same step, displacements agree within 2
 import math
 
 import numpy as np
-from numba import njit
 
 from armperturb.arrays import Array, Indices
 from armperturb.controllers.compiled import Lane, Memory, act, delayed
 from armperturb.controllers.lanes import PARTS, Table
+from armperturb.jit import compiled
 from armperturb.planar_arm.lanes import GROUP, Start
 from armperturb.planar_arm.muscles import add_yielding, put_reflexes
 from armperturb.planar_arm.rows import (
@@ -84,7 +84,7 @@ PI_REMAINDER = 1.2246467991473532e-16
 """What pi has beyond its nearest number."""
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@compiled(forceinline=True)
 def _sine_and_cosine(angle: float) -> tuple[float, float]:
     """Both by their series about the nearest multiple of pi, to rounding: library calls are not vectorised."""
     turns = np.floor(angle * (1.0 / math.pi) + 0.5)
@@ -100,7 +100,7 @@ def _sine_and_cosine(angle: float) -> tuple[float, float]:
     return sign * x * sine, sign * (1.0 - 0.5 * z * cosine)
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@compiled(forceinline=True)
 def _turned(sine: float, cosine: float, by: float) -> tuple[float, float]:
     """Sine and cosine of an angle that has grown by less than 0.1 rad, to rounding."""
     z = by * by
@@ -109,7 +109,7 @@ def _turned(sine: float, cosine: float, by: float) -> tuple[float, float]:
     return sine * left + cosine * grown, cosine * left - sine * grown
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@compiled(forceinline=True)
 def _moved(z: State, slope: State, time: float) -> State:
     """The state after a time with that slope."""
     return (
@@ -124,7 +124,7 @@ def _moved(z: State, slope: State, time: float) -> State:
     )
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@compiled(forceinline=True)
 def _slope(w: Array, i: int, z: State, upper: State, lower: State, torque: State, push: State) -> State:
     """Derivative of (q_s, q_e, x, y, their velocities), q from the posture and x from the start.
 
@@ -165,7 +165,7 @@ def _slope(w: Array, i: int, z: State, upper: State, lower: State, torque: State
     )
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@compiled(forceinline=True)
 def _advance(w: Array, timestep: float) -> None:
     """One step of Runge-Kutta 4 of all lanes of a group; NaN where an arm diverges.
 
@@ -201,13 +201,13 @@ def _advance(w: Array, timestep: float) -> None:
         w[W_S, i], w[W_E, i], w[V_X, i], w[V_Y, i] = finite * z[4], finite * z[5], finite * z[6], finite * z[7]
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@compiled(forceinline=True)
 def _is_grouped(p: Lane) -> bool:
     """Whether a lane's reflexes are computed in its group: not with what the rest of `act` does for it alone."""
     return p.reflexive != 0.0 and p.remembering == 0.0 and p.lawful == 0.0 and p.commanded == 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _load(lanes: Table, start: Start, first: int, timestep: float, w: Array) -> tuple[int, int]:
     """Put a group's states and constants where `_advance` wants them; the last group is filled with its last lane.
 
@@ -278,7 +278,7 @@ def _load(lanes: Table, start: Start, first: int, timestep: float, w: Array) -> 
     return n_reflexive, n_lawful
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _store(lanes: Table, start: Start, first: int, steps: int, w: Array) -> None:
     """Put where a group ends after so many steps into the start of what may follow."""
     for i in range(min(GROUP, len(lanes) - first)):
@@ -302,13 +302,13 @@ def _store(lanes: Table, start: Start, first: int, steps: int, w: Array) -> None
                     m.sent[step, joint] = w[RING + 2 * ((steps + step) % len(m.sent)) + joint, i]
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@compiled(forceinline=True)
 def _acts_alone(p: Lane) -> bool:
     """Whether a lane has anything that its group does not compute."""
     return (p.reflexive != 0.0 or p.lawful != 0.0 or p.commanded != 0.0) and not _is_grouped(p)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _act(p: Lane, m: Memory, w: Array, i: int, timestep: float, room: Array) -> None:
     """Put what a group does not compute of muscles and reflexes into a lane; `room` is (8, 3) for what is between."""
     angle, velocity, held, sent = room[4], room[5], room[6], room[7]
@@ -325,7 +325,7 @@ def _act(p: Lane, m: Memory, w: Array, i: int, timestep: float, room: Array) -> 
         w[EXCITATION + joint, i] = m.excitation[joint]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True)
 def simulate_lanes(
     lanes: Table,
     start: Start,
@@ -385,7 +385,7 @@ def simulate_lanes(
         _store(lanes, start, first, steps, w)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _write(p: Lane, w: Array, i: int, row: Array) -> None:
     """Velocities, displacement, joint angles and force on the hand of a lane, into a row of a log."""
     for j in range(2):
@@ -398,7 +398,7 @@ def _write(p: Lane, w: Array, i: int, row: Array) -> None:
     row[9] = p.k_h * slip_y + p.b_h * (w[V_Y, i] - s_y * w[W_S, i] - e_y * w[W_E, i])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True)
 def log_lanes(lanes: Table, start: Start, known: Array, timestep: float, log: Array) -> None:
     """All signals at the start of each step, as `envs.lab.stepping.advance` logs them of MuJoCo's arms.
 

@@ -1,9 +1,8 @@
 """Muscle law and reflexes of eight arms, in vector instructions: what `controllers.compiled.act` does for one."""
 
-from numba import njit
-
 from armperturb.arrays import Array
 from armperturb.controllers.compiled import between, bond_after, spindle_velocity, thinned_torque
+from armperturb.jit import compiled
 from armperturb.planar_arm.lanes import GROUP
 from armperturb.planar_arm.rows import (
     ACTIVE,
@@ -53,7 +52,7 @@ from armperturb.planar_arm.rows import (
 )
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@compiled(forceinline=True)
 def add_yielding(w: Array, timestep: float) -> None:
     """Add to a group's torques what muscle laws take from springs and dampers over a step; `law_torque` of all lanes.
 
@@ -110,7 +109,7 @@ def add_yielding(w: Array, timestep: float) -> None:
                 w[TORQUE + 2 * stage + joint, i] += taken
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@compiled(forceinline=True)
 def put_reflexes(w: Array, newest: int) -> None:
     """Put the torques of a group's reflexes in the place of all torques; the reflexes of `act` of all lanes.
 

@@ -21,7 +21,13 @@ N_PARTS = 33
 N_PARAMETERS = len(PARAMETERS)
 
 
-@jit(cache=True, error_model="numpy")
+@jit
+def reciprocal(z: complex) -> complex:
+    """1 / z with one real division, for numbers whose squares are within range."""
+    return z.conjugate() * (1.0 / (z.real**2 + z.imag**2))
+
+
+@jit
 def put_reflexes(s: complex, values: Array, is_exact: bool, parts: ComplexArray) -> None:
     """Put what belongs to the reflexes of a joint at s into `parts`: delay and activation, and slopes of these.
 
@@ -39,10 +45,10 @@ def put_reflexes(s: complex, values: Array, is_exact: bool, parts: ComplexArray)
             delayed = cmath.exp(-u)
             delay_slope = -s * delayed
         else:
-            over = 1.0 / (120 + u * (60 + u * (12 + u)))
+            over = reciprocal(120 + u * (60 + u * (12 + u)))
             delayed = (120 + u * (-60 + u * (12 - u))) * over
             delay_slope = s * (-60 + u * (24 - 3 * u) - delayed * (60 + u * (24 + 3 * u))) * over
-        over = 1.0 / (s2 + 2 * zeta * omega * s + omega * omega)
+        over = reciprocal(s2 + 2 * zeta * omega * s + omega * omega)
         active = omega * omega * over
         parts[REFLEX_FILTER + joint] = delayed * active
         parts[DELAY_SLOPE + joint] = delay_slope * active
@@ -50,7 +56,7 @@ def put_reflexes(s: complex, values: Array, is_exact: bool, parts: ComplexArray)
         parts[DAMPING_SLOPE + joint] = delayed * (-2.0 * s * omega * active * over)
 
 
-@jit(cache=True, error_model="numpy")
+@jit
 def put_response(s: complex, values: Array, jacobian: Array, inertias: Array, parts: ComplexArray) -> None:
     """Put the endpoint admittance at s into `parts`, and what its slopes are made of.
 
@@ -67,7 +73,7 @@ def put_response(s: complex, values: Array, jacobian: Array, inertias: Array, pa
     # (1 - R Kf)^-1
     a, b = 1 - r_s * values[17], -r_s * values[18]
     c, d = -r_e * values[18], 1 - r_e * values[19]
-    over = 1.0 / (a * d - b * c)
+    over = reciprocal(a * d - b * c)
     l_ss, l_se, l_es, l_ee = d * over, -b * over, -c * over, a * over
     parts[LOOP], parts[LOOP + 1], parts[LOOP + 2], parts[LOOP + 3] = l_ss, l_se, l_es, l_ee
 
@@ -91,7 +97,7 @@ def put_response(s: complex, values: Array, jacobian: Array, inertias: Array, pa
     b = (mass_h * inertias[0, 0, 1] + mass_f * inertias[1, 0, 1] + values[27]) * s2 + w_se
     c = (mass_h * inertias[0, 1, 0] + mass_f * inertias[1, 1, 0] + values[27]) * s2 + w_es
     d = (mass_h * inertias[0, 1, 1] + mass_f * inertias[1, 1, 1] + values[28]) * s2 + w_ee
-    over = 1.0 / (a * d - b * c)
+    over = reciprocal(a * d - b * c)
     a, b, c, d = d * over, -b * over, -c * over, a * over
     for axis in range(2):
         j_s, j_e = jacobian[axis, 0], jacobian[axis, 1]
@@ -99,7 +105,7 @@ def put_response(s: complex, values: Array, jacobian: Array, inertias: Array, pa
         parts[LEFT + 2 * axis + 1] = j_s * b + j_e * d
         parts[RIGHT + axis] = a * j_s + b * j_e
         parts[RIGHT + 2 + axis] = c * j_s + d * j_e
-    grip = 1.0 / (values[24] * s + values[25])
+    grip = 1.0 / (values[24] * s + values[25])  # zero where the grip is rigid
     parts[GRIP] = grip
     for axis in range(2):
         for pushed in range(2):
@@ -109,7 +115,7 @@ def put_response(s: complex, values: Array, jacobian: Array, inertias: Array, pa
         parts[H + 3 * axis] += grip
 
 
-@jit(cache=True, error_model="numpy")
+@jit
 def put_slopes(
     s: complex, inertias: Array, parts: ComplexArray, weight: ComplexArray, wanted: NDArray[np.bool_], slope: Array
 ) -> None:

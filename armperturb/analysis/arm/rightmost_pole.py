@@ -20,22 +20,28 @@ DEGREE = 18
 UNIT = 30.0
 """Complex frequency that is one in the polynomials [1/s], amid those of arms."""
 
-HALVINGS = 14
+HALVINGS = 5
+"""Before the first attempt to find the pole from what is left of the range, and between attempts."""
 
-POLISHING = 8
-"""Newton steps to the pole."""
+MOST_HALVINGS = 56
+
+POLISHING = 12
+"""Newton steps to the pole, at most."""
+
+CONVERGED = 1e-9
+"""Newton step that is as good as none [UNIT]."""
 
 NEAR = 1e-7
 """A root this close to where halving has left the rightmost pole is that pole, relative to the range searched."""
 
 
-@jit(cache=True, error_model="numpy")
+@jit
 def _add(a: Array, factor: float, out: Array) -> None:
     for i in range(a.size):
         out[i] += factor * a[i]
 
 
-@jit(cache=True, error_model="numpy")
+@jit
 def _add_product(a: Array, b: Array, factor: float, out: Array) -> None:
     for i in range(a.size):
         scaled = factor * a[i]
@@ -43,7 +49,7 @@ def _add_product(a: Array, b: Array, factor: float, out: Array) -> None:
             out[i + j] += scaled * b[j]
 
 
-@jit(cache=True, error_model="numpy")
+@jit
 def characteristic_polynomial(values: Array, jacobian: Array, inertias: Array, held: Array, shift: float) -> Array:
     """Coefficients of the polynomial whose roots are (pole - shift) / UNIT, constant first, (19,).
 
@@ -117,7 +123,7 @@ def characteristic_polynomial(values: Array, jacobian: Array, inertias: Array, h
     return polynomial
 
 
-@jit(cache=True, error_model="numpy")
+@jit
 def _shifted(polynomial: Array, shift: float) -> Array:
     """The same polynomial about a point so far to the right [1/s]."""
     coefficients, share = polynomial.copy(), shift / UNIT
@@ -127,7 +133,7 @@ def _shifted(polynomial: Array, shift: float) -> Array:
     return coefficients
 
 
-@jit(cache=True, error_model="numpy")
+@jit
 def all_roots_left(polynomial: Array) -> tuple[bool, float]:
     """Whether all roots have negative real parts, by Routh's scheme.
 
@@ -159,9 +165,9 @@ def all_roots_left(polynomial: Array) -> tuple[bool, float]:
     return True, frequency
 
 
-@jit(cache=True, error_model="numpy")
+@jit
 def _root_near(polynomial: Array, start: complex) -> complex:
-    """Newton's iteration from a start."""
+    """Where Newton's iteration from a start ends; not a number if it does not."""
     root = start
     for _ in range(POLISHING):
         value, slope = 0j, 0j
@@ -170,11 +176,14 @@ def _root_near(polynomial: Array, start: complex) -> complex:
             value = value * root + polynomial[i]
         if slope == 0:
             break
-        root -= value / slope
-    return root
+        step = value / slope
+        root -= step
+        if abs(step.real) + abs(step.imag) < CONVERGED:
+            return root
+    return complex(math.nan, 0.0)
 
 
-@jit(cache=True, error_model="numpy")
+@jit
 def rightmost_pole(
     values: Array, jacobian: Array, inertias: Array, held: Array, lowest: float, highest: float
 ) -> complex:
@@ -196,7 +205,7 @@ def rightmost_pole(
         return complex(highest, 0.0)
     left, right = lowest, highest
     near = NEAR * (highest - lowest)
-    for halving in range(4 * HALVINGS):
+    for halving in range(1, MOST_HALVINGS + 1):
         middle = 0.5 * (left + right)
         polynomial = _shifted(first, middle - lowest)
         is_left, nearest = all_roots_left(polynomial)
@@ -204,10 +213,12 @@ def rightmost_pole(
             right, frequency = middle, nearest
         else:
             left = middle
-        if halving >= HALVINGS and halving % HALVINGS == 0:
-            # The root may be one of a pair, or real.
+        if halving % HALVINGS == 0:
+            # The root may be one of a pair, or real; it is the rightmost if none is to the right of it.
             for imaginary in (math.sqrt(max(frequency, 0.0)), 0.0):
                 root = middle + UNIT * _root_near(polynomial, complex(0.0, imaginary))
                 if left - near <= root.real <= right + near:
-                    return complex(root.real, abs(root.imag))
+                    beyond = min(root.real + near, right)
+                    if beyond == right or all_roots_left(_shifted(first, beyond - lowest))[0]:
+                        return complex(root.real, abs(root.imag))
     return complex(right, UNIT * math.sqrt(max(frequency, 0.0)))

@@ -59,7 +59,7 @@ class Step(NamedTuple):
     damping: float
 
 
-@jit(cache=True, error_model="numpy")
+@jit
 def first_radius(x: Array, gradient: Array, lower: Array, upper: Array) -> float:
     """Radius of the first step, from where the search starts."""
     squared = 0.0
@@ -70,7 +70,7 @@ def first_radius(x: Array, gradient: Array, lower: Array, upper: Array) -> float
     return radius if radius > 0 and np.isfinite(radius) else 1.0
 
 
-@jit(cache=True, error_model="numpy")
+@jit
 def next_point(
     x: Array, gradient: Array, hessian: Array, lower: Array, upper: Array, radius: float, damping: float
 ) -> tuple[Array, Step]:
@@ -102,7 +102,7 @@ def next_point(
     return point, Step(predicted, _norm(step), _norm(moved), _norm(x), radius, damping)
 
 
-@jit(cache=True, error_model="numpy")
+@jit
 def judge(step: Step, cost: float, new_cost: float, ftol: float, xtol: float) -> tuple[float, float, int]:
     """What a step was worth.
 
@@ -139,7 +139,7 @@ def judge(step: Step, cost: float, new_cost: float, ftol: float, xtol: float) ->
 # Loops, as array expressions take many times as long to compile.
 
 
-@jit(cache=True, error_model="numpy")
+@jit
 def _product(a: Array, b: Array) -> Array:
     """Of each pair of elements."""
     product = np.empty(a.size)
@@ -148,7 +148,7 @@ def _product(a: Array, b: Array) -> Array:
     return product
 
 
-@jit(cache=True, error_model="numpy")
+@jit
 def _ahead(start: Array, way: float, direction: Array) -> Array:
     """The point start + way * direction."""
     point = np.empty(start.size)
@@ -157,7 +157,7 @@ def _ahead(start: Array, way: float, direction: Array) -> Array:
     return point
 
 
-@jit(cache=True, error_model="numpy")
+@jit
 def _norm(values: Array) -> float:
     squared = 0.0
     for value in values:
@@ -165,7 +165,7 @@ def _norm(values: Array) -> float:
     return math.sqrt(squared)
 
 
-@jit(cache=True, error_model="numpy")
+@jit
 def inside(x: Array, lower: Array, upper: Array, margin: float) -> Array:
     """What is on or outside a bound moved inside: by the margin, or to the next number that there is."""
     inside = x.copy()
@@ -185,7 +185,7 @@ def inside(x: Array, lower: Array, upper: Array, margin: float) -> Array:
     return inside
 
 
-@jit(cache=True, error_model="numpy")
+@jit
 def _scale(x: Array, gradient: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
     """Diagonal of D, and the derivative of its square by x."""
     scale, sign = np.ones(x.size), np.zeros(x.size)
@@ -197,7 +197,7 @@ def _scale(x: Array, gradient: Array, lower: Array, upper: Array) -> tuple[Array
     return scale, sign
 
 
-@jit(cache=True, error_model="numpy")
+@jit
 def _factor(matrix: Array, damping: float, least: float, lower: Array) -> bool:
     """Cholesky factor of matrix + damping into `lower`; whether all its pivots are above the least."""
     n = len(matrix)
@@ -217,7 +217,7 @@ def _factor(matrix: Array, damping: float, least: float, lower: Array) -> bool:
     return True
 
 
-@jit(cache=True, error_model="numpy")
+@jit
 def _solve(lower: Array, slope: Array, step: Array) -> float:
     """Put -(L L^T)^-1 slope into `step`; returns step^T (L L^T)^-1 step."""
     n = slope.size
@@ -242,7 +242,7 @@ def _solve(lower: Array, slope: Array, step: Array) -> float:
     return squared
 
 
-@jit(cache=True, error_model="numpy")
+@jit
 def _longest(slope: Array, curvature: Array, radius: float, damping: float) -> tuple[Array, float]:
     """Minimum of the model within the radius, (parameter,), and the damping that it takes.
 
@@ -289,13 +289,13 @@ def _longest(slope: Array, curvature: Array, radius: float, damping: float) -> t
     return step, damping
 
 
-@jit(cache=True, error_model="numpy")
+@jit
 def _value(slope: Array, curvature: Array, step: Array) -> float:
     """The model at a step."""
     return float(np.dot(step, slope) + 0.5 * np.dot(step, np.dot(curvature, step)))
 
 
-@jit(cache=True, error_model="numpy")
+@jit
 def _feasible(
     step: Array, slope: Array, curvature: Array, scale: Array, radius: float, x: Array, lower: Array, upper: Array
 ) -> tuple[Array, float]:
@@ -348,7 +348,7 @@ def _feasible(
     return best, -best_value
 
 
-@jit(cache=True, error_model="numpy")
+@jit
 def _way_to_bound(x: Array, direction: Array, lower: Array, upper: Array) -> tuple[float, Array]:
     """Multiple of a direction that leads to the first bound, and which that is, (parameter,)."""
     ways, way = np.empty(x.size), np.inf
@@ -360,7 +360,7 @@ def _way_to_bound(x: Array, direction: Array, lower: Array, upper: Array) -> tup
     return way, ways == way
 
 
-@jit(cache=True, error_model="numpy")
+@jit
 def _least_along(quadratic: float, linear: float, least: float, most: float) -> float:
     """Where between least and most quadratic t^2 / 2 + linear t is least."""
     if quadratic > 0:

@@ -1,15 +1,15 @@
 """The amplifier of the EMG, compiled: only who records EMG needs the compiler."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from armperturb.jit import compiled
 from armperturb.recording import MUSCLES
 
 Float32 = NDArray[np.float32]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True)
 def amplify(
     white: Float32,
     amplitude: Float32,

@@ -2,12 +2,13 @@
 
 import mujoco
 import numpy as np
-from numba import carray, njit
+from numba import carray
 
 from armperturb.arrays import Array, Indices
 from armperturb.controllers.compiled import act, delayed
 from armperturb.controllers.lanes import Table
 from armperturb.envs.lab.stepping import numbers_at, step_address, step_once
+from armperturb.jit import compiled
 
 ANGLE, VELOCITY, HELD = range(3)
 """Columns of a log: angle [rad] and velocity [rad/s] at the start of a step, torque on the limb held over it [Nm]."""
@@ -48,7 +49,7 @@ def advance_joint(
     return log
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True)
 def _advance(
     addresses: Indices,
     timestep: float,

@@ -9,12 +9,13 @@ from typing import Any
 import mujoco
 import numpy as np
 from llvmlite import ir
-from numba import carray, njit, types
+from numba import carray, types
 from numba.extending import intrinsic
 
 from armperturb.arrays import Array, Flags, Indices
 from armperturb.controllers.compiled import act
 from armperturb.controllers.lanes import Table
+from armperturb.jit import compiled
 from armperturb.models.rig import BIARTICULAR, JOINTS, REFLEXES, SLIDES, STRAIN_GAUGE
 
 ARRAYS = ("qpos", "qvel", "ctrl", "qfrc_applied", "sensordata")
@@ -96,7 +97,7 @@ step_once: Any = intrinsic(_call_step)
 numbers_at, _counts = _pointer_to(types.float64), _pointer_to(types.int32)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True)
 def advance(
     mj_step: int, arms: Table, table: Table, memory: Table, known: Array, timestep: float, log: Array, diverged: Flags
 ) -> None:
@@ -146,7 +147,7 @@ def advance(
             diverged[lane] |= counts[2 * warning] > 0
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def set_muscles(arms: Table, which: Indices, stiffness: Array, damping: Array) -> None:
     """Change springs and dampers of the muscles of some arms.
 

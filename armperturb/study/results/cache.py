@@ -36,8 +36,8 @@ LOG = logging.getLogger(__name__)
 Result = TypeVar("Result")
 
 VERSIONS = {
-    "person": 3,
-    "step-2": 3,
+    "person": 4,
+    "step-2": 4,
     "nonlinear": 4,
     "mechanisms": 1,
     "moving-shoulder": 2,
