@@ -1,9 +1,12 @@
 """Functions that numba compiles, with compiled code that is kept as `compile_cache` says."""
 
 from collections.abc import Callable
+from threading import Lock
 from typing import Any
 
 from armperturb.compile_cache import cache_folder
+
+_SETTING = Lock()
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -17,12 +20,14 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     config: Any = numba.config
 
     def decorate(function: Callable[..., Any]) -> Any:
-        folder, usual = cache_folder(function.__module__), config.CACHE_DIR
-        config.CACHE_DIR = str(folder or usual)
-        try:
-            return numba.njit(cache=folder is not None, error_model="numpy", **options)(function)
-        finally:
-            config.CACHE_DIR = usual
+        folder = cache_folder(function.__module__)
+        with _SETTING:
+            usual = config.CACHE_DIR
+            config.CACHE_DIR = str(folder or usual)
+            try:
+                return numba.njit(cache=folder is not None, error_model="numpy", **options)(function)
+            finally:
+                config.CACHE_DIR = usual
 
     return decorate
 
