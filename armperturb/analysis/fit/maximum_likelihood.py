@@ -33,6 +33,7 @@ from armperturb.analysis.fit.trial_effects import (
     QUANTITIES,
     SINGULAR,
     TrialScore,
+    differing,
     fit_mixed,
     scaled,
     scatter,
@@ -54,9 +55,6 @@ SKETCH_ROUNDS = 12
 
 EFFECT_ROUNDS = 6
 """Steps after which the search for the differences between trials ends."""
-
-LEAST_SPREAD = 1e-3
-"""Spreads over trials below this are none [-]."""
 
 SKEWED = 2e-4
 """Least skew between force and displacement that is reported, if it is beyond three standard errors [s]."""
@@ -358,10 +356,6 @@ def _with_trial_effects(problem: JointLikelihood, search: Searched) -> Searched:
     )
 
 
-def _told(spread: Array) -> dict[str, float]:
-    return {name: float(value) for name, value in zip(QUANTITIES, spread, strict=True) if value > LEAST_SPREAD}
-
-
 def _dispersion(problem: JointLikelihood, search: Searched, fit: LackOfFit) -> float:
     """See `Estimate.dispersion`; the noise must have been weighed."""
     if not problem.are_independent or problem.n_trials < FEWEST_TRIALS:
@@ -399,7 +393,7 @@ def _judge(problem: JointLikelihood, method: Method, search: Searched) -> Estima
         standard_error=dict(zip(names, error.tolist(), strict=True)),
         degrees_of_freedom={} if search.dof is None else dict(zip(names, search.dof.tolist(), strict=True)),
         correlation=correlation,
-        trial_spread={} if search.spread is None or is_assumed else _told(search.spread),
+        trial_spread={} if search.spread is None or is_assumed else differing(QUANTITIES, search.spread),
         at_bound=names_at_bound(problem.names, values, problem.lower, problem.upper),
         arms={group.label: arm for group, arm in zip(problem.groups, problem.arms(values), strict=True)},
         message=search.status,

@@ -52,6 +52,9 @@ FLAT = 0.5
 LEAST_DOF = 2.0
 """Degrees of freedom are not fewer than this."""
 
+LEAST_SPREAD = 1e-3
+"""Spreads over trials below this are none [-]."""
+
 STEP = 0.1
 """Of the logarithm of a spread, for derivatives [-]."""
 
@@ -177,6 +180,16 @@ def fit_mixed(trials: Sequence[TrialScore], n_parameters: int, assumed: float | 
     moving = [i for i, value in enumerate(logarithms) if value > bounds[i][0] + 1.0]
     dof = _satterthwaite(gradient_and_variances, logarithms, moving)
     return Mixed(spread, solved.slope, solved.information, loose, dof)
+
+
+def differing(names: Sequence[str], spread: Array) -> dict[str, float]:
+    """Quantities that differ from trial to trial, and their spreads [-].
+
+    Args:
+      names: of all quantities.
+      spread: of these, (quantity,).
+    """
+    return {name: float(value) for name, value in zip(names, spread, strict=True) if value > LEAST_SPREAD}
 
 
 def _gram_and_weight(within: Array, spread: Array) -> tuple[Array, Array]:

@@ -156,13 +156,14 @@ def likelihood_profiles(
     loop: Loop | None,
     names: Sequence[str],
     *,
+    added: Array | None = None,
     longest_delay: float = LONGEST_DELAY,
 ) -> dict[str, Profile]:
     """Rise of the sum of squares with each parameter held at values about its estimate, and the others estimated.
 
     On a force servo it is that of the movement, which a nonlinear reflex makes slightly less efficient than
     instruments. The noise is that of the estimate, so that differences are those of chi squared with one degree of
-    freedom.
+    freedom. What trials that differ add to the variance of a parameter, over its variance, makes its profile flatter.
 
     The likelihood of a threshold may have two maxima, either side of the velocity at which a movement rests. Its
     profile is therefore taken at a few more thresholds, and other parameters are searched again from its points where
@@ -173,6 +174,7 @@ def likelihood_profiles(
       signals: of the trials it was fitted to.
       loop: the virtual environment of a force servo; None of a position servo.
       names: of the parameters, which have a standard error.
+      added: covariance that differences between trials add, (parameter, parameter); None for none.
       longest_delay: of the reflex [s].
     """
     likelihood = JointLikelihood(fit.structure, signals, loop)
@@ -181,9 +183,11 @@ def likelihood_profiles(
     along: list[_Point] = []
     for name in sorted(names, key=lambda name: name != THRESHOLD):
         place = fit.structure.parameters.index(name)
-        points, bounds = _profiled(likelihood, fit, place, along, longest_delay)
+        wider = 1.0 if added is None else 1.0 + float(added[place, place] / fit.covariance[place, place])
+        points, bounds = _profiled(likelihood, fit, place, along, longest_delay, wider)
         rise = np.array([point.cost for point in points])
-        profiles[name] = Profile(np.array([point.values[place] for point in points]), rise - rise.min(), bounds)
+        held = np.array([point.values[place] for point in points])
+        profiles[name] = Profile(held, (rise - rise.min()) / wider, bounds)
         if name == THRESHOLD:
             along = points
     return {name: profiles[name] for name in names}
@@ -197,7 +201,12 @@ class _Point(NamedTuple):
 
 
 def _profiled(
-    likelihood: JointLikelihood, fit: JointEstimate, place: int, along: Sequence[_Point], longest_delay: float
+    likelihood: JointLikelihood,
+    fit: JointEstimate,
+    place: int,
+    along: Sequence[_Point],
+    longest_delay: float,
+    wider: float,
 ) -> tuple[list[_Point], tuple[float, float]]:
     """Points of the profile of one parameter, in its order, and the parameter's bounds.
 
@@ -207,12 +216,13 @@ def _profiled(
       place: of the parameter.
       along: points of the threshold's profile; none without.
       longest_delay: of the reflex [s].
+      wider: factor by which differences between trials increase the variance [-].
     """
     others = np.arange(len(fit.values)) != place
     lower, upper = fit.structure.bounds(likelihood.signals, longest_delay)
     bounds = float(lower[place]), float(upper[place])
     variance = float(fit.covariance[place, place])
-    estimate, error, given = float(fit.values[place]), float(np.sqrt(variance)), variance
+    estimate, error, given = float(fit.values[place]), float(np.sqrt(wider * variance)), variance
     if along:
         given -= float(fit.covariance[place, -1] ** 2 / fit.covariance[-1, -1])  # with the threshold held
 
@@ -244,7 +254,7 @@ def _profiled(
             points.append(point)
             if at == bound:
                 break
-            if step == steps[-1] and point.cost - centre.cost < PROFILE_RISE and len(steps) < most:
+            if step == steps[-1] and point.cost - centre.cost < wider * PROFILE_RISE and len(steps) < most:
                 steps.append(1.5 * step)
     return sorted(points, key=lambda each: float(each.values[place])), bounds
 

@@ -34,6 +34,7 @@ def joint_summary(result: JointIdentification) -> dict[str, Any]:
             "left_out_vaf": result.intrinsic.left_out_vaf,
             "structured_vaf": result.intrinsic.structured_vaf,
         },
+        "trial_spread": dict(result.trial_spread),
         "band_Hz": list(result.band),
         "at_bound": list(result.at_bound),
         "remarks": [result.sentence, *result.remarks],

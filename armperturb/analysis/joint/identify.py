@@ -1,5 +1,6 @@
 """Identification of a joint: structure chosen by left-out data, parameters with intervals, and held-out prediction."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -9,6 +10,7 @@ import xarray as xr
 
 from armperturb.analysis.cuts import inside_limit, one_condition
 from armperturb.analysis.fit.maximum_likelihood import SUSPICIOUS
+from armperturb.analysis.fit.trial_effects import FEW, FEWEST_TRIALS
 from armperturb.analysis.fit.whittle import LackOfFit
 from armperturb.analysis.joint.choice import ScoredStructure, score_of, sentence_of, structures
 from armperturb.analysis.joint.estimate import JointEstimate, Profile, estimate_joint, likelihood_profiles
@@ -18,6 +20,7 @@ from armperturb.analysis.joint.model import LONGEST_DELAY, REFLEXES, UNITS, Join
 from armperturb.analysis.joint.prediction import FreeModel, explained, fit_free_model
 from armperturb.analysis.joint.signals import SHORTEST, JointSignals, joint_signals, mean_angle
 from armperturb.analysis.joint.torque_likelihood import band_of
+from armperturb.analysis.joint.trial_differences import trial_differences
 from armperturb.analysis.results import Description, FitResult, Interval, parameter_table, quantile
 from armperturb.arrays import Array
 from armperturb.recording import check_recording, named
@@ -77,6 +80,8 @@ class JointIdentification(FitResult):
       fit_until: end of what was fitted [s]; None for all.
       environment: inertia, damping and stiffness of a force servo's virtual environment; None of a position servo.
       lack_of_fit: whether the structure leaves something that a linear response to the servo's input explains.
+      trial_spread: "damping", "stiffness" and others to the standard deviation over trials of the factor by which it
+        differs [-]; without those that do not differ.
       profiles: parameter of the reflex path to the profile of its likelihood; of a force servo only that of the delay.
       band: of the frequencies that count [Hz].
       trace: of the first trial.
@@ -96,6 +101,7 @@ class JointIdentification(FitResult):
     fit_until: float | None
     environment: Loop | None
     lack_of_fit: LackOfFit
+    trial_spread: Mapping[str, float]
     profiles: Mapping[str, Profile]
     band: tuple[float, float]
     trace: Trace
@@ -128,7 +134,7 @@ class JointIdentification(FitResult):
         """
         if self.servo == "force" or name not in self.profiles:
             return super().interval(name, level)
-        return self.profiles[name].interval(quantile(level))
+        return self.profiles[name].interval(quantile(level, self.degrees_of_freedom.get(name, math.inf)))
 
     def unit_of(self, name: str) -> str:
         """Unit of a parameter."""
@@ -143,10 +149,18 @@ class JointIdentification(FitResult):
         """What was chosen, and how clearly."""
         return sentence_of([ScoredStructure(each.estimate.structure, each.score) for each in self.tried])
 
+    @property
+    def differing(self) -> str:
+        """What differs from trial to trial, in words; empty if nothing does."""
+        each = [f"{name.replace('_', ' ')} {spread:.1%}" for name, spread in self.trial_spread.items()]
+        return f"SD over trials: {', '.join(each)}; intervals are of the mean over trials" if each else ""
+
     def describe(self) -> Description:
         """Parameters, how the structure was chosen, and how well it predicts."""
         shares = ", ".join(f"{name} {share:.1f} %" for name, share in self.vaf.items())
         facts = [self.sentence, f"VAF of the fitted trials: {shares}"]
+        if self.trial_spread:
+            facts.append(self.differing)
         if self.held_out:
             each = ", ".join(f"{name} {share:.1f} %" for name, share in self.held_out.items())
             facts.append(f"VAF after {self.fit_until:g} s, from the input alone: {each}")
@@ -178,7 +192,7 @@ class JointIdentification(FitResult):
             self.fit_until,
             quantity[self.servo == "force"],
             quantity[0],
-            quantile(0.95) ** 2,
+            quantile(0.95, self.degrees_of_freedom.get("reflex_delay", math.inf)) ** 2,
             figure,
         )
 
@@ -230,14 +244,17 @@ def identify_joint(
     every = joint_signals(recording, reference=reference)
     model = JointModel(best.structure, signals)
     names = best.structure.parameters
-    error = np.sqrt(np.diag(best.covariance))
+    differences = trial_differences(best, signals, loop)
+    covariance, dof = best.covariance + differences.added, differences.degrees_of_freedom
+    error = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore"):
-        correlation = best.covariance / np.outer(error, error)
+        correlation = covariance / np.outer(error, error)
     at_bound = tuple(name for name, bound in zip(names, best.at_bound, strict=True) if bound)
     return JointIdentification(
         values=dict(zip(names, map(float, best.values), strict=True)),
         standard_error=dict(zip(names, map(float, error), strict=True)),
         correlation=correlation,
+        degrees_of_freedom={name: float(each) for name, each in zip(names, dof, strict=True) if np.isfinite(each)},
         at_bound=at_bound,
         converged=best.converged,
         message="converged" if best.converged else "the rounds of weighing did not settle",
@@ -256,7 +273,8 @@ def identify_joint(
         fit_until=fit_until,
         environment=loop,
         lack_of_fit=best.lack,
-        profiles=_profiles(best, signals, loop, longest_delay),
+        trial_spread=differences.spread,
+        profiles=_profiles(best, differences.added, signals, loop, longest_delay),
         band=band_of(signals),
         trace=_trace(every, best, loop, free),
     )
@@ -326,12 +344,12 @@ def _trace(signals: JointSignals, best: JointEstimate, loop: Loop | None, free: 
 
 
 def _profiles(
-    best: JointEstimate, signals: JointSignals, loop: Loop | None, longest_delay: float
+    best: JointEstimate, added: Array, signals: JointSignals, loop: Loop | None, longest_delay: float
 ) -> dict[str, Profile]:
     names = [name for name in best.structure.parameters if name.startswith("reflex_")]
     free = [name for name, bound in zip(best.structure.parameters, best.at_bound, strict=True) if not bound]
     wanted = [name for name in (names if loop is None else names[1:2]) if name in free]
-    return likelihood_profiles(best, signals, loop, wanted, longest_delay=longest_delay)
+    return likelihood_profiles(best, signals, loop, wanted, added=added, longest_delay=longest_delay)
 
 
 def _remarks(
@@ -342,6 +360,8 @@ def _remarks(
     at_bound: Sequence[str],
 ) -> tuple[str, ...]:
     said = [f"{name} sits on a bound, and has no interval" for name in at_bound]
+    if len(signals.angle) < FEWEST_TRIALS:
+        said.append(FEW)
     if not best.converged:
         said.append("the noise and the parameters did not settle together: intervals may be too short")
     lack = best.lack

@@ -17,7 +17,7 @@ from armperturb.analysis.fit.whittle import ALL
 from armperturb.analysis.joint.model import JointModel, JointStructure, activated, drive_of, play_operator
 from armperturb.analysis.joint.signals import JointSignals
 from armperturb.analysis.joint.torque_likelihood import BlockScore, TorqueLikelihood
-from armperturb.arrays import Array, ComplexArray
+from armperturb.arrays import Array, ComplexArray, Indices
 
 N_BLOCKS = 8
 """Blocks of time that are left out one by one, of a single trial."""
@@ -57,6 +57,7 @@ class JointLikelihood(TorqueLikelihood):
         self._model = JointModel(structure, signals)
         self._moved: tuple[bytes, JointSignals] = b"", signals
         self._impedance: ComplexArray | None = None
+        self._taken_out: ComplexArray | float = 0.0
         super().__init__(signals)
 
     def _predicted(self, values: Array, trials: slice = ALL) -> ComplexArray:
@@ -65,6 +66,20 @@ class JointLikelihood(TorqueLikelihood):
     def _slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, ComplexArray]]:
         columns = JointModel(self.structure, self.movement(values)).derivatives(values)
         yield ALL, np.einsum("ptol,pf->ftol", self._spectrum(np.stack(list(columns.values()))), mixing)
+
+    def take_out(self, values: Array, places: Indices, changes: Array) -> None:
+        """Take from the residual what changes of the parameters make in each trial, until the next call.
+
+        Args:
+          values: about which they change, (parameter,).
+          places: of the parameters that change.
+          changes: of these, (trial, changed parameter).
+        """
+        columns = np.stack(list(JointModel(self.structure, self.movement(values)).derivatives(values).values()))
+        self._taken_out = self._spectrum(np.einsum("tp,ptn->tn", changes, columns[places]))
+
+    def _residual(self, values: Array) -> ComplexArray:
+        return np.asarray(super()._residual(values) - self._taken_out)
 
     def weigh(self, values: Array) -> None:
         """Estimate the spectrum of the noise that a model leaves; it holds until the next call."""
