@@ -6,6 +6,7 @@ Nothing here is shared with the package but the format of recordings.
 from dataclasses import dataclass, replace
 
 import numpy as np
+import xarray as xr
 from numba import njit
 from scipy import signal
 
@@ -222,3 +223,14 @@ def recording(joint, seed, servo="position", *, duration=60.0, decibel=15.0, nam
         signals = {"perturbation": load[lead * FINE :: FINE], "displacement": angle[lead:], "force": torque[lead:]}
     arrays = {each: values[None, :, None] for each, values in signals.items()}
     return make_recording(arrays, labels, RATE, servo=servo, joint=name, angular=True)
+
+
+def trials(joint, seed, spread, *, servo="position", n_trials=5, duration=6.0):
+    """Trials in which damping, stiffness and reflex gain differ by a factor each of mean one."""
+    rng, parts = np.random.default_rng([seed, 1]), []
+    for number in range(n_trials):
+        factors = 1.0 + spread * rng.normal(size=3)
+        names = ("damping", "stiffness", "reflex_gain")
+        changed = {name: factor * getattr(joint, name) for name, factor in zip(names, factors, strict=True)}
+        parts.append(recording(replace(joint, **changed), 100 * seed + number, servo, duration=duration))
+    return xr.concat(parts, "trial", data_vars="minimal").assign_coords(repetition=("trial", np.arange(n_trials)))

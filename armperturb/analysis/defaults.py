@@ -16,6 +16,9 @@ SETTLING = 4.0
 SETTLED = 2.0
 """Time from which on a disturbance is periodic [s]; the response to it need not be."""
 
+FEWEST_TRIALS = 3
+"""Trials from which on it is told what differs between them: fewer do not tell by how much."""
+
 LINES_PER_AVERAGE = 4
 """Adjacent lines over which spectra are averaged: the clusters of the thesis's multisine."""
 

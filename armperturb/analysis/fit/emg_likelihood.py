@@ -25,9 +25,10 @@ import numpy as np
 from scipy import fft
 
 from armperturb.analysis.arm.parameters import DELAYS, GRIP_DAMPING, GRIP_STIFFNESS, MATRIX, PARAMETERS
+from armperturb.analysis.defaults import FEWEST_TRIALS
 from armperturb.analysis.emg.outputs import ReflexOutputs
 from armperturb.analysis.fit.likelihood import judged_part
-from armperturb.analysis.fit.trial_effects import ASSUMED, FEWEST_TRIALS
+from armperturb.analysis.fit.trial_effects import ASSUMED
 from armperturb.analysis.fit.whittle import ALL, Whittle
 from armperturb.arrays import Array, ComplexArray
 from armperturb.validation import require_number

@@ -11,6 +11,7 @@ from typing import NamedTuple, get_args
 
 import numpy as np
 
+from armperturb.analysis.defaults import FEWEST_TRIALS
 from armperturb.analysis.fit.emg_likelihood import FEW_WITH_EMG
 from armperturb.analysis.fit.group import Group, Method, require_one_person
 from armperturb.analysis.fit.joint_likelihood import PART_OF, JointLikelihood
@@ -29,7 +30,6 @@ from armperturb.analysis.fit.structures import unit
 from armperturb.analysis.fit.trial_effects import (
     ASSUMED,
     FEW,
-    FEWEST_TRIALS,
     QUANTITIES,
     SINGULAR,
     TrialScore,

@@ -19,13 +19,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy import optimize
 
+from armperturb.analysis.defaults import FEWEST_TRIALS
 from armperturb.arrays import Array
 
 QUANTITIES = ("b", "k", "kv", "kp", "ka")
 """Quantities that may differ from trial to trial, each with all its parameters in proportion."""
-
-FEWEST_TRIALS = 3
-"""Trials from which on they may differ, or show the dispersion: fewer do not tell by how much."""
 
 FEW = f"fewer than {FEWEST_TRIALS} trials: intervals leave out what differs between trials"
 """Remark on errors that are then those of noise alone."""

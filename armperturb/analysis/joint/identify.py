@@ -9,8 +9,9 @@ import numpy as np
 import xarray as xr
 
 from armperturb.analysis.cuts import inside_limit, one_condition
+from armperturb.analysis.defaults import FEWEST_TRIALS
 from armperturb.analysis.fit.maximum_likelihood import SUSPICIOUS
-from armperturb.analysis.fit.trial_effects import FEW, FEWEST_TRIALS
+from armperturb.analysis.fit.trial_effects import FEW
 from armperturb.analysis.fit.whittle import LackOfFit
 from armperturb.analysis.joint.choice import ScoredStructure, score_of, sentence_of, structures
 from armperturb.analysis.joint.estimate import JointEstimate, Profile, estimate_joint, likelihood_profiles

@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from armperturb.analysis.fit.trial_effects import FEWEST_TRIALS, TrialScore, differing, fit_mixed, inverse
+from armperturb.analysis.defaults import FEWEST_TRIALS
+from armperturb.analysis.fit.trial_effects import TrialScore, differing, fit_mixed, inverse
 from armperturb.analysis.joint.estimate import JointEstimate
 from armperturb.analysis.joint.likelihood import JointLikelihood, Loop
 from armperturb.analysis.joint.signals import JointSignals

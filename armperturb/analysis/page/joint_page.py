@@ -59,7 +59,7 @@ def write_joint_page(result: JointIdentification, path: str | Path, origin: Orig
     plot_parameters({label: result.to_frame()}, parameters)
     result.plot(drawn)
     best = result.tried[0].score
-    said = [result.sentence, *([result.differing] if result.differing else []), *result.remarks, *origin.notes]
+    said = [*filter(None, [result.sentence, result.differing]), *result.remarks, *origin.notes]
     tried = Description(
         title="Structures tried, the best first",
         table=Table(
@@ -76,11 +76,7 @@ def write_joint_page(result: JointIdentification, path: str | Path, origin: Orig
         {
             "parameters": {"rows": parameter_rows({label: result}, result.unit_of), "triples": False},
             "joint_prediction": {},
-            "remarks": {
-                "remarks": [*filter(None, [result.sentence, result.differing]), *result.remarks, *origin.notes],
-                "causes": {},
-                "nonlinear": {},
-            },
+            "remarks": {"remarks": said, "causes": {}, "nonlinear": {}},
             "structures": {"choices": {label: tried}},
             "method": {"origin": origin, "licence": metadata.metadata("armperturb")["License-Expression"]},
         },

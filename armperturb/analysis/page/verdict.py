@@ -6,12 +6,13 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from armperturb.analysis.defaults import FEWEST_TRIALS
 from armperturb.analysis.fit.diagnosis import Diagnosis
 from armperturb.analysis.fit.emg_likelihood import FEW_WITH_EMG
 from armperturb.analysis.fit.frequency_bands import BandOfLack
 from armperturb.analysis.fit.identify import Identification
 from armperturb.analysis.fit.maximum_likelihood import LARGE_LACK, SKEWED, SUSPICIOUS, Estimate
-from armperturb.analysis.fit.trial_effects import ASSUMED, FEWEST_TRIALS
+from armperturb.analysis.fit.trial_effects import ASSUMED
 from armperturb.analysis.fit.whittle import LackOfFit
 from armperturb.analysis.imbalance import Imbalance, Kind
 from armperturb.analysis.page.data_check import DataCheck

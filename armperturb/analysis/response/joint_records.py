@@ -147,13 +147,32 @@ def variance_of(what: System, joint: ComplexArray, noise: ComplexArray, spread: 
     Raises:
       ValueError: as `admittance_of`.
     """
-    inverse, response = _to_disturbance(what, joint), admittance_of(what, joint)
-    left = np.concatenate(
-        [-_WEIGHTS[what][1] * response, np.broadcast_to(np.eye(response.shape[1]), response.shape)], axis=2
-    )
+    left, inverse = _around_error(what, joint)
     of_output = np.einsum("fia,fac,fic->fi", left, noise, left.conj()).real
     of_input = np.einsum("fbj,fbd,fdj->fj", inverse, spread, inverse.conj()).real
     return np.asarray(of_output[:, :, None] * of_input[:, None, :])
+
+
+def error_of(what: System, joint: ComplexArray, change: ComplexArray) -> ComplexArray:
+    """Change of that admittance to first order [m/N], (frequency, output, input).
+
+    Args:
+      what: as in `admittance_of`.
+      joint: as in `admittance_of`.
+      change: of G, (frequency, 4, 2).
+
+    Raises:
+      ValueError: as `admittance_of`.
+    """
+    left, inverse = _around_error(what, joint)
+    return np.asarray(left @ change @ inverse)
+
+
+def _around_error(what: System, joint: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """[-b R, I] and W^-1, between which an error of G stands."""
+    inverse, response = _to_disturbance(what, joint), admittance_of(what, joint)
+    unit = np.broadcast_to(np.eye(response.shape[1]), response.shape)
+    return np.concatenate([-_WEIGHTS[what][1] * response, unit], axis=2), inverse
 
 
 def _to_disturbance(what: System, joint: ComplexArray) -> ComplexArray:

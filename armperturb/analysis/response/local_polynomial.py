@@ -18,6 +18,10 @@ Feedback does no harm, because all is referred to d (joint input-output approach
 
 to first order. Assumed: d is known without noise and no person or instrument adds anything that correlates with it;
 noise is stationary, and its spectrum about the same all over the window.
+
+A person who differs from trial to trial moves all lines of a trial together, which residuals of single lines do not
+tell. Where there are three trials or more, the variance is therefore raised to that of the sums which each trial adds
+to the estimate (Liang & Zeger 1986, Biometrika 73, 13-22), as far as these exceed noise over an octave to either side.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,8 +30,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from armperturb.analysis.defaults import FEWEST_TRIALS
 from armperturb.analysis.response.frequency_response import FrequencyResponse, System
-from armperturb.analysis.response.joint_records import admittance_of, variance_of
+from armperturb.analysis.response.joint_records import admittance_of, error_of, variance_of
 from armperturb.analysis.trials import TrialRecord
 from armperturb.arrays import Array, ComplexArray
 from armperturb.environment import Environment
@@ -35,6 +40,9 @@ from armperturb.environment import Environment
 N_INPUTS = 2
 LARGEST_CONDITION = 1e6
 """Condition number above which the effects of two disturbances are not separately identifiable [-]."""
+
+REACH = 1.0
+"""Octaves to either side over which it is told whether trials differ."""
 
 STILL = 0.2, 1.0
 """No disturbance acts for so long before and after what does not leak [s], and for the last quarter of a record."""
@@ -92,6 +100,7 @@ class LocalFit(NamedTuple):
       dof: complex degrees of freedom behind `noise`.
       excited_noise: the same from excited lines alone, which also hold what a nonlinear arm adds there, (4, 4).
       excited_dof: complex degrees of freedom behind that.
+      by_trial: what the residual of each record adds to T, (record, 4, input).
     """
 
     frequency: float
@@ -101,6 +110,7 @@ class LocalFit(NamedTuple):
     dof: float
     excited_noise: ComplexArray
     excited_dof: float
+    by_trial: ComplexArray
 
 
 def n_unknowns(
@@ -188,8 +198,14 @@ def fit_locally(
         return np.asarray(products / max(dof, 1e-12), dtype=complex), dof
 
     factor = np.asarray(rows @ rows.conj().T)
+    mean = levels.mean(axis=0)
+    if own_levels:
+        by_trial = (levels - mean) / n_levels
+    else:
+        added = (rows @ orthonormal.conj().T)[:, :, None] * left
+        by_trial = np.stack([part.sum(axis=1) for part in np.split(added, np.cumsum(n_rows)[:-1], axis=1)])
     of_all, of_excited = covariance(np.ones(len(left), dtype=bool)), covariance(excited)
-    return LocalFit(centre, levels.mean(axis=0).T, factor, *of_all, *of_excited)
+    return LocalFit(centre, mean.T, factor, *of_all, *of_excited, by_trial.swapaxes(1, 2))
 
 
 def without(
@@ -220,16 +236,54 @@ def frequency_response(
     noises: Sequence[tuple[ComplexArray, float]],
     environment: Environment | None = None,
 ) -> FrequencyResponse:
-    """One system at all frequencies, with the covariance of the noise and its degrees of freedom at each."""
+    """One system at all frequencies, with the variance that noise and differences between trials make at each.
+
+    Args:
+      fits: at each frequency.
+      what: "arm", "environment" or "total".
+      noises: covariance of the noise at each frequency, (4, 4), and its complex degrees of freedom.
+      environment: see `FrequencyResponse`.
+    """
+    frequency = np.array([fit.frequency for fit in fits])
     joint, factor = np.array([fit.answer for fit in fits]), np.array([fit.factor for fit in fits])
+    variance = variance_of(what, joint, np.array([noise for noise, _ in noises]), factor)
+    errors = [error_of(what, part[None], fit.by_trial) for part, fit in zip(joint, fits, strict=True)]
+    covariance, dof = with_differences(frequency, variance, np.array([dof for _, dof in noises]), errors)
     return FrequencyResponse(
-        frequency=np.array([fit.frequency for fit in fits]),
+        frequency=frequency,
         response=admittance_of(what, joint),
-        covariance=variance_of(what, joint, np.array([noise for noise, _ in noises]), factor),
+        covariance=covariance,
         what=what,
-        dof=np.array([dof for _, dof in noises]),
+        dof=dof,
         environment=environment,
     )
+
+
+def with_differences(
+    frequency: Array, variance: Array, dof: Array, errors: Sequence[ComplexArray]
+) -> tuple[Array, Array]:
+    """Variance of a response, and its complex degrees of freedom, with what differs between trials.
+
+    Differences of few parameters move a response along few directions: their variance has half the degrees of freedom
+    of one that is complex.
+
+    Args:
+      frequency: [Hz], (frequency,).
+      variance: that noise makes, (frequency, output, input).
+      dof: behind that, (frequency,).
+      errors: what each trial adds to the response, (trial, output, input) at each frequency.
+    """
+    n_trials = np.array([len(each) for each in errors])
+    if n_trials.min() < FEWEST_TRIALS:
+        return variance, dof
+    scatter = np.stack([np.sum(np.abs(each) ** 2, axis=0) for each in errors])
+    excess = scatter * (n_trials / (n_trials - 1.0))[:, None, None] / np.maximum(variance, np.finfo(float).tiny)
+    near = np.abs(np.log2(frequency[:, None] / frequency)) <= REACH
+    smooth = np.einsum("fg,goi->foi", near / near.sum(axis=1, keepdims=True), excess)
+    wider = np.maximum(smooth, 1.0)
+    widest = wider.max(axis=(1, 2))
+    of_trials = 0.5 * (n_trials - 1.0)
+    return variance * wider, widest**2 / (1.0 / dof + (widest - 1.0) ** 2 / of_trials)
 
 
 def where_independent(wanted: Array, fit: Callable[[float], LocalFit]) -> dict[float, LocalFit]:

@@ -30,13 +30,14 @@ from armperturb.analysis.response.closed_loop import (
     lines_around,
 )
 from armperturb.analysis.response.frequency_response import FrequencyResponse, System, require_frequencies
-from armperturb.analysis.response.joint_records import admittance_of, resampled, variance_of
+from armperturb.analysis.response.joint_records import admittance_of, error_of, resampled, variance_of
 from armperturb.analysis.response.local_polynomial import (
     DependentDisturbancesError,
     LocalFit,
     Window,
     fit_locally,
     whole_window,
+    with_differences,
 )
 from armperturb.analysis.results import Description, Table, plain
 from armperturb.analysis.trials import SeveralTrials, TrialRecord, prepared_recordings
@@ -216,19 +217,21 @@ def one_axis_response(
             "single tones cannot be separated from transients)"
         ) from None
     joint, noise = np.array([fit.answer for fit in fits]), np.array([fit.noise for fit in fits])
-    spread = np.array([fit.factor for fit in fits])
+    spread, errors = np.array([fit.factor for fit in fits]), [fit.by_trial for fit in fits]
     if imposed:
         values, variance = joint, (noise.real * spread.real).reshape(-1, 1, 1)
     else:
         values, variance = admittance_of(what, joint), variance_of(what, joint, noise, spread)
+        errors = [error_of(what, part[None], each) for part, each in zip(joint, errors, strict=True)]
+    covariance, dof = with_differences(wanted, variance, np.array([fit.dof for fit in fits]), errors)
     explained = np.array(power) * np.abs(joint[:, -1, 0]) ** 2
     torque, angle = (str(first[name].attrs["units"]) for name in ("force", "displacement"))
     return AxisResponse(
         frequency=wanted,
         response=values,
-        covariance=variance,
+        covariance=covariance,
         what=what,
-        dof=np.array([fit.dof for fit in fits]),
+        dof=dof,
         label=named(inside),
         kind="impedance" if imposed else "admittance",
         units=f"{torque}/{angle}" if imposed else f"{angle}/{torque}",

@@ -109,6 +109,7 @@ def _estimate(
     rate = records[0].rate
     wanted = excited_band(records) if frequency is None else require_frequencies(frequency, rate)
     spectra: list[ComplexArray] = []
+    n_spectra: list[int] = []
     independent = 0.0
     waves: dict[int, ComplexArray] = {}
     for record in records:
@@ -117,6 +118,7 @@ def _estimate(
         n = tapers.shape[1]
         if slices and n not in waves:
             waves[n] = np.exp(-2j * np.pi * np.outer(wanted / rate, np.arange(n)))
+        n_spectra.append(len(slices) * len(tapers))
         for piece in slices:
             both = np.concatenate([record.perturbation[piece], record.response[piece]], axis=1)
             both = both - both.mean(axis=0)
@@ -127,10 +129,14 @@ def _estimate(
             f"the recordings hold {independent:.3g} independent spectra with {asked}; expected at least "
             f"{LEAST_DOF + N_INPUTS:g} (longer or more trials, shorter segments or a wider band)"
         )
-    values = np.array(spectra)
-    fits, everywhere = [], np.ones(len(values), dtype=bool)
+    of_records = np.split(np.array(spectra), np.cumsum(n_spectra)[:-1])
+    fits = []
     for k, centre in enumerate(wanted):
-        window = Window(centre * everywhere, values[:, k, :N_INPUTS], values[:, k, N_INPUTS:], everywhere)
-        fit = fit_locally([window], float(centre), order=0, leakage_order=-1)
-        fits.append(fit._replace(factor=fit.factor * len(values) / independent))
+        windows = [
+            Window(np.full(len(each), centre), each[:, k, :N_INPUTS], each[:, k, N_INPUTS:], np.full(len(each), True))
+            for each in of_records
+            if len(each)
+        ]
+        fit = fit_locally(windows, float(centre), order=0, leakage_order=-1)
+        fits.append(fit._replace(factor=fit.factor * len(spectra) / independent))
     return frequency_response(fits, what, [(fit.noise, dof) for fit in fits])

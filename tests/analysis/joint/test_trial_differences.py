@@ -1,11 +1,8 @@
 """Joints whose trials differ: their intervals are those of the mean over trials."""
 
-from dataclasses import replace
-
 import numpy as np
 import one_joint
 import pytest
-import xarray as xr
 from scipy import stats
 
 from armperturb.analysis.fit.trial_effects import FEW
@@ -16,26 +13,15 @@ from armperturb.analysis.joint.model import JointStructure
 from armperturb.analysis.joint.signals import joint_signals
 from armperturb.analysis.joint.trial_differences import trial_differences
 
-N_TRIALS = 5
 
-
-def trials(joint, seed, spread, *, servo="position", n_trials=N_TRIALS, duration=6.0):
-    """Trials in which damping, stiffness and reflex gain differ by a factor each of mean one."""
-    rng, parts = np.random.default_rng([seed, 1]), []
-    for number in range(n_trials):
-        factors = 1.0 + spread * rng.normal(size=3)
-        names = ("damping", "stiffness", "reflex_gain")
-        changed = {name: factor * getattr(joint, name) for name, factor in zip(names, factors, strict=True)}
-        parts.append(one_joint.recording(replace(joint, **changed), 100 * seed + number, servo, duration=duration))
-    return xr.concat(parts, "trial", data_vars="minimal").assign_coords(repetition=("trial", np.arange(n_trials)))
-
-
-@pytest.mark.parametrize("servo", ["position", "force"])
+@pytest.mark.parametrize(
+    "servo", ["position", pytest.param("force", marks=pytest.mark.slow(reason="ten closed loops"))]
+)
 def test_intervals_hold_the_mean_over_trials_that_differ(servo):
     held, held_by_noise, found = [], [], []
     for seed in range(10):
         joint = one_joint.person("ankle", seed, "none")
-        signals = joint_signals(trials(joint, seed, 0.08, servo=servo))
+        signals = joint_signals(one_joint.trials(joint, seed, 0.08, servo=servo))
         loop = environment_of(signals) if servo == "force" else None
         fit = estimate_joint(JointStructure(reflex="none"), signals, loop)
         differences = trial_differences(fit, signals, loop)
@@ -55,7 +41,7 @@ def test_trials_that_are_alike_widen_no_interval():
     differing = 0
     for seed in range(6):
         joint = one_joint.person("ankle", seed, "none")
-        signals = joint_signals(trials(joint, seed, 0.0))
+        signals = joint_signals(one_joint.trials(joint, seed, 0.0))
         fit = estimate_joint(JointStructure(reflex="none"), signals)
         differences = trial_differences(fit, signals, None)
         differing += bool(differences.spread)
@@ -68,7 +54,7 @@ def test_trials_that_are_alike_widen_no_interval():
 @pytest.mark.slow(reason="a fit of three trials with a half-wave, and its profiles")
 def test_a_result_says_what_differs_and_widens_profiles():
     joint = one_joint.person("ankle", 3)
-    recording = trials(joint, 3, 0.15, n_trials=3)
+    recording = one_joint.trials(joint, 3, 0.15, n_trials=3)
     result = identify_joint(recording, reflex="half-wave")
     assert {"stiffness", "reflex_gain"} <= result.trial_spread.keys()
     assert any("intervals are of the mean over trials" in fact for fact in result.describe().facts)

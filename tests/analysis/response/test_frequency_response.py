@@ -12,7 +12,7 @@ from armperturb.analysis.response.closed_loop import estimate_multisine, estimat
 from armperturb.analysis.response.estimate import response
 from armperturb.analysis.response.frequency_response import FrequencyResponse
 from armperturb.analysis.response.line_balance import LineBalance
-from armperturb.analysis.response.local_polynomial import Window, fit_locally
+from armperturb.analysis.response.local_polynomial import Window, fit_locally, with_differences
 from armperturb.environment import Environment
 from armperturb.recording import make_recording
 
@@ -368,3 +368,23 @@ def test_bad_input_is_refused(excited):
         FrequencyResponse(
             frequency=np.ones(1), response=np.ones((1, 2, 2), complex), covariance=None, what="arm"
         ).radius()
+
+
+@pytest.mark.parametrize(("spread", "lowest", "highest"), [(0.0, 0.93, 0.99), (3.0, 0.9, 0.995)])
+def test_variance_holds_what_differs_between_trials(spread, lowest, highest):
+    """Errors of noise and of one factor on the response of each trial, smooth in frequency, drawn without the fit."""
+    rng, frequency, n_trials = np.random.default_rng(4), np.geomspace(0.5, 20.0, 24), 5
+    shape = (np.exp(1j * np.log(frequency)) * np.linspace(0.2, 1.0, len(frequency)))[:, None, None] * np.ones((1, 2, 2))
+    held, held_by_noise = [], []
+    for _ in range(150):
+        noise = rng.normal(size=(n_trials, 24, 2, 2, 2)) @ [1.0, 1.0j] / np.sqrt(2.0)
+        each = (noise + spread * rng.normal(size=(n_trials, 1, 1, 1)) * shape) / n_trials
+        error, added = each.sum(axis=0), each - each.mean(axis=0)
+        variance, dof = np.full((24, 2, 2), 1.0 / n_trials), np.full(24, 50.0)
+        with_them = with_differences(frequency, variance, dof, list(added.swapaxes(0, 1)))
+        for counts, (size, freedom) in ((held_by_noise, (variance, dof)), (held, with_them)):
+            made = FrequencyResponse(frequency=frequency, response=error, covariance=size, what="arm", dof=freedom)
+            counts.append(made.covers(np.zeros_like(error)).mean())
+    assert lowest < np.mean(held) < highest
+    if spread:
+        assert np.mean(held_by_noise) < 0.75

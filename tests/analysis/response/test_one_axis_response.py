@@ -103,3 +103,16 @@ def test_a_sine_is_named():
     tone = 0.05 * np.sin(2.0 * np.pi * 2.0 * recording["time"].values)
     with pytest.raises(ValueError, match=r"the movement has power at too few frequencies near .* expected a band"):
         ap.response(recording.assign(displacement=recording["displacement"].copy(data=tone[None, :, None])))
+
+
+def test_circles_hold_the_mean_over_trials_that_differ():
+    held, high = [], []
+    for seed in range(6):
+        joint = one_joint.person("ankle", seed, "none")
+        found = ap.response(one_joint.trials(joint, seed, 0.08, n_trials=6, duration=10.0))
+        expected = truth(joint, found.frequency, "position")
+        held.append(found.covers(expected).mean())
+        high.append(found.covers(expected)[found.frequency > 3.0].mean())
+    # Of noise alone, circles would hold a half of them, and a fifth above 3 Hz.
+    assert np.mean(held) > 0.88
+    assert np.mean(high) > 0.85
