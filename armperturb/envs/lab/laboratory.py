@@ -16,15 +16,14 @@ from armperturb.environment import TIMESTEP, Environment
 from armperturb.envs.lab.experiment import perturbation_labels, read_instruments
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.posture import (
-    fastest_pole,
     holding_activation,
     listed,
     lock_joints,
     muscles_of,
     scalar_joints,
-    settle,
     take_posture,
 )
+from armperturb.envs.lab.settling import fastest_pole, settle
 from armperturb.envs.lab.setup import Setup, Truth, in_threads
 from armperturb.envs.lab.simulation import silent_simulator
 from armperturb.envs.lab.stepping import DIVERGED

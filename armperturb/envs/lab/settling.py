@@ -1,0 +1,105 @@
+"""How an arm comes to rest with its hand at the handle, and the force that the handle then bears."""
+
+import copy
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from armperturb.arrays import Array, Indices
+
+AT_REST = 1e-7
+"""Acceleration below which nothing has to settle [rad/s^2, m/s^2]."""
+
+SETTLING = 30.0
+"""Longest simulated time that an arm is given to come to rest [s]."""
+
+PROBE = 1e-5
+"""Displacement [rad, m] and velocity [rad/s, m/s] by which slopes of the acceleration are told."""
+
+IMMOVABLE = 1e9
+"""Mass of a handle that is held [kg]."""
+
+STILL = 1e-9
+"""Displacement in a step below which an arm counts as still [rad, m]."""
+
+STILL_STEPS = 100
+"""Steps in a row for which it has to."""
+
+LEFT = 0.9
+"""Share of its velocity that an arm keeps from one step to the next while it settles [-]."""
+
+
+@dataclass(frozen=True)
+class Settled:
+    """How an arm came to rest with its hand at the handle, which was held.
+
+    Attributes:
+      force: of the handle on the hand [N], (axis,).
+      time: that it took, simulated [s].
+    """
+
+    force: Array
+    time: float
+
+
+def settle(model: mujoco.MjModel, data: mujoco.MjData, handle: Indices, slides: Indices, gauge: int) -> Settled:
+    """Let the arm find its rest with the handle held at its start; an arm that is at rest stays to the last bit.
+
+    Args:
+      model: of arm and manipulator.
+      data: whose state changes.
+      handle: where its displacement is among the positions.
+      slides: where its velocity is.
+      gauge: first component of the strain gauge among the sensors.
+
+    Raises:
+      ValueError: the arm does not come to rest.
+    """
+    mujoco.mj_forward(model, data)
+    if np.abs(data.qacc).max(initial=0.0) < AT_REST:
+        return Settled(np.zeros(2), 0.0)
+    held = copy.copy(model)
+    held.dof_armature[slides] = IMMOVABLE
+    n_steps = round(SETTLING / model.opt.timestep)
+    step = still = 0
+    while step < n_steps and still < STILL_STEPS:
+        before = data.qpos.copy()
+        mujoco.mj_step(held, data)
+        data.qvel *= LEFT
+        still = still + 1 if np.abs(data.qpos - before).max() < STILL else 0
+        step += 1
+    if still < STILL_STEPS:
+        raise ValueError(
+            f"Laboratory: the arm does not come to rest within {SETTLING:g} s; expected a posture that its springs and "
+            "muscles hold (another posture or activation, or joints that are locked)"
+        )
+    data.qpos[handle] = 0.0
+    rest = data.qpos.copy(), data.act.copy(), data.ctrl.copy()
+    mujoco.mj_resetData(model, data)
+    data.qpos[:], data.act[:], data.ctrl[:] = rest
+    mujoco.mj_forward(model, data)
+    force = data.sensordata[gauge : gauge + 2].copy()
+    return Settled(force, step * model.opt.timestep)
+
+
+def fastest_pole(model: mujoco.MjModel, data: mujoco.MjData) -> float:
+    """Largest modulus of the poles of arm and manipulator at rest, with the muscles' activations constant [1/s]."""
+    probe, nv = mujoco.MjData(model), model.nv
+    rest = data.qpos.copy(), data.act.copy(), data.ctrl.copy()
+
+    def acceleration(turn: Array, velocity: Array) -> Array:
+        probe.qpos[:], probe.act[:], probe.ctrl[:] = rest
+        mujoco.mj_integratePos(model, probe.qpos, turn, 1.0)
+        probe.qvel[:], probe.qacc_warmstart[:] = velocity, 0.0
+        mujoco.mj_forward(model, probe)
+        return np.array(probe.qacc)
+
+    none = np.zeros(nv)
+    slopes = [
+        [(acceleration(*move(way)) - acceleration(*move(-way))) / (2.0 * PROBE) for way in PROBE * np.eye(nv)]
+        for move in (lambda way: (way, none), lambda way: (none, way))
+    ]
+    of_position, of_velocity = (np.transpose(slope) for slope in slopes)
+    matrix = np.block([[np.zeros((nv, nv)), np.eye(nv)], [of_position, of_velocity]])
+    return float(np.abs(np.linalg.eigvals(matrix)).max())
