@@ -41,7 +41,9 @@ class Grip:
 
 
 def load_arm(source: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
-    """An arm's model, to be changed.
+    """An arm's model, to be changed, in which every joint and actuator has a name.
+
+    One without is called after its kind and its place among them, from 0: "joint0", "actuator2".
 
     Args:
       source: an MJCF file, "myo_sim:NAME" for a model of the package myo-sim, or a specification, which stays as it is.
@@ -51,8 +53,19 @@ def load_arm(source: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
       OSError: the file cannot be read.
       MissingExtraError: the package myo-sim is not installed.
     """
-    if isinstance(source, mujoco.MjSpec):
-        return source.copy()
+    spec = source.copy() if isinstance(source, mujoco.MjSpec) else _read(source)
+    for kind, elements in (("joint", spec.joints), ("actuator", spec.actuators)):
+        taken = {element.name for element in elements}
+        for place, element in enumerate(elements):
+            if not element.name:
+                element.name = f"{kind}{place}"
+                while element.name in taken:
+                    element.name += "_"
+    return spec
+
+
+def _read(source: str | Path) -> mujoco.MjSpec:
+    """A model as it is; errors as in `load_arm`."""
     if not str(source).startswith(MYO_SIM):
         require_moderate(Path(source))
     try:

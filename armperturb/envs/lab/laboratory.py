@@ -122,8 +122,8 @@ class Laboratory:
             asks for. None leaves controls as the keyframe or the model has them.
           controller: what acts at each step beside constant activations, such as `StretchReflex`.
           posture_deg: hinge to angle [deg]; other joints are as in the keyframe or the model, or where equality
-            constraints ask them to be.
-          keyframe: of the model, whose posture and controls are taken.
+            constraints ask them to be. A joint without a name is called by its place, "joint0" for the first.
+          keyframe: of the model, whose posture, controls and activations are taken.
           locked: joints that the cuffs hold in this posture; "*" in a name stands for any text.
           joints: names of shoulder and elbow, if more than two hinges about the vertical move the hand.
           handle: where the handle starts, in the world of the model [m], x, y and z; None for at the hand. Joints move
@@ -162,8 +162,7 @@ class Laboratory:
         if place is not None and place.shape != (3,):
             raise ValueError(f"{owner}: handle = {handle!r}; expected three numbers, x, y and z [m]")
         arm, data = _in_posture(spec, hand, start, posture_deg or {}, place)
-        for name, value in controls.items():
-            data.ctrl[arm.actuator(name).id] = value
+        _take_controls(arm, data, controls)
         muscles = muscles_of(arm)
         if activation is not None:
             if not len(muscles):
@@ -342,27 +341,31 @@ def _require_joints(spec: mujoco.MjSpec, names: Sequence[str], field: str) -> No
             raise ValueError(f"Laboratory: {field} = {name!r}; expected a joint of the model ({joints})")
 
 
+Controls = dict[str, tuple[float, Array]]
+"""Actuator to its control, and its activations (some have none)."""
+
+
 def _start(
     spec: mujoco.MjSpec, posture_deg: Mapping[str, float], keyframe: str | None
-) -> tuple[dict[str, float], dict[str, float]]:
-    """Joint to position [rad or m], and actuator to control, where a keyframe and a posture say so."""
+) -> tuple[dict[str, ArrayLike], Controls]:
+    """Joint to its coordinates [rad or m], and controls, where a keyframe and a posture say so."""
     _require_joints(spec, [*posture_deg], "posture_deg")
     model = spec.copy().compile()
-    start: dict[str, float] = {}
-    controls: dict[str, float] = {}
+    start: dict[str, ArrayLike] = {}
+    controls: Controls = {}
     if keyframe is not None:
         names = [model.key(i).name for i in range(model.nkey)]
         if keyframe not in names:
             raise ValueError(
                 f"Laboratory: keyframe = {keyframe!r}; expected one of the model ({listed(names) or 'it has none'})"
             )
-        key = model.key(keyframe)
-        start = {
-            model.joint(j).name: float(key.qpos[model.jnt_qposadr[j]])
-            for j in scalar_joints(model)
-            if model.joint(j).name
+        data = mujoco.MjData(model)
+        mujoco.mj_resetDataKeyframe(model, data, model.key(keyframe).id)
+        start = {model.joint(j).name: data.joint(j).qpos.copy() for j in range(model.njnt)}
+        controls = {
+            model.actuator(i).name: (float(data.ctrl[i]), data.act[_activations(model, i)].copy())
+            for i in range(model.nu)
         }
-        controls = {model.actuator(i).name: float(key.ctrl[i]) for i in range(model.nu) if model.actuator(i).name}
     for name, value in posture_deg.items():
         joint = model.joint(name)
         if joint.type[0] != mujoco.mjtJoint.mjJNT_HINGE:
@@ -373,8 +376,22 @@ def _start(
     return start, controls
 
 
+def _activations(model: mujoco.MjModel, actuator: int) -> slice:
+    """Where those of an actuator are among the activations."""
+    first = int(model.actuator_actadr[actuator])
+    return slice(first, first + int(model.actuator_actnum[actuator]))
+
+
+def _take_controls(model: mujoco.MjModel, data: mujoco.MjData, controls: Controls) -> None:
+    """Set controls and activations of the actuators that the model has; some went with joints that are locked."""
+    for name, (control, activations) in controls.items():
+        actuator = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name)
+        if actuator >= 0:
+            data.ctrl[actuator], data.act[_activations(model, actuator)] = control, activations
+
+
 def _in_posture(
-    spec: mujoco.MjSpec, hand: str, start: Mapping[str, float], held: Collection[str], place: Array | None
+    spec: mujoco.MjSpec, hand: str, start: Mapping[str, ArrayLike], held: Collection[str], place: Array | None
 ) -> tuple[mujoco.MjModel, mujoco.MjData]:
     """The arm alone, as its joints start, of which some are held, or with its hand at a place in the world [m]."""
     arm = spec.compile()

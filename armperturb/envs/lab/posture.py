@@ -5,6 +5,7 @@ from collections.abc import Collection, Mapping, Sequence
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.linalg import null_space
 from scipy.optimize import lsq_linear
 
@@ -33,13 +34,14 @@ MUSCLE_WEIGHT = 1e-2
 """Torque [Nm] that counts as much as one muscle's deviation by 1 from the activation that is asked for."""
 
 
-def lock_joints(spec: mujoco.MjSpec, patterns: Sequence[str], posture: Mapping[str, float]) -> mujoco.MjSpec:
+def lock_joints(spec: mujoco.MjSpec, patterns: Sequence[str], posture: Mapping[str, ArrayLike]) -> mujoco.MjSpec:
     """A copy of a model without some of its joints, which stay where they are in a posture.
 
     Args:
       spec: the model.
       patterns: names of joints, with "*" for any text.
-      posture: joint to angle [rad] or displacement [m]; the others are as the model has them.
+      posture: joint to angle [rad] or displacement [m], or to all coordinates of a ball or a free joint; the others
+        are as the model has them.
 
     Raises:
       ValueError: a pattern matches no joint, or only some of those between two bodies, or one in a frame.
@@ -55,9 +57,9 @@ def lock_joints(spec: mujoco.MjSpec, patterns: Sequence[str], posture: Mapping[s
         matched = fnmatch.filter(names, pattern)
         if not matched:
             raise ValueError(f"lock = {pattern!r}; expected some of the model's joints: {listed(names)}")
-        locked |= {name for name in matched if name}
+        locked |= set(matched)
     for name, value in posture.items():
-        data.qpos[model.joint(name).qposadr[0]] = value
+        data.joint(name).qpos = value
     mujoco.mj_kinematics(model, data)
     for body in {spec.joint(name).parent.id: spec.joint(name).parent for name in sorted(locked)}.values():
         left = [joint.name for joint in body.joints if joint.name not in locked]
@@ -106,7 +108,7 @@ def _moments(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
 def take_posture(
     model: mujoco.MjModel,
     data: mujoco.MjData,
-    posture: Mapping[str, float],
+    posture: Mapping[str, ArrayLike],
     held: Collection[str],
     hand: int,
     handle: Array | None,
@@ -116,7 +118,7 @@ def take_posture(
     Args:
       model: of the arm alone.
       data: whose positions change.
-      posture: joint to angle [rad] or displacement [m] where it starts; joints move as little as they must.
+      posture: joint to where it starts, as in `lock_joints`; joints move as little as they must.
       held: joints of the posture that only move for a handle.
       hand: id of its site.
       handle: where the hand has to be [m], (3,); None for wherever the posture puts it.
@@ -125,7 +127,7 @@ def take_posture(
       ValueError: constraints contradict the posture, or the hand cannot reach the handle.
     """
     for name, value in posture.items():
-        data.qpos[model.joint(name).qposadr[0]] = value
+        data.joint(name).qpos = value
     given = np.array([model.joint(name).dofadr[0] for name in held if handle is None], dtype=int)
     free = np.setdiff1d(np.arange(model.nv), given)
     sparse, model.opt.jacobian = model.opt.jacobian, mujoco.mjtJacobian.mjJAC_DENSE
@@ -143,9 +145,10 @@ def take_posture(
                 f"Laboratory: handle = {np.round(handle, 4).tolist()} m; expected a point that the hand can reach "
                 f"(the nearest that it came to is {away:.3g} m away)"
             )
+        shown = {name: np.round(np.asarray(value), 4).tolist() for name, value in posture.items()}
         raise ValueError(
-            f"Laboratory: posture = {dict(posture)!r}; expected one in which the model's equality constraints hold "
-            f"(they are off by {np.abs(error).max():.2g})"
+            f"Laboratory: posture = {shown}; expected one in which the model's equality constraints hold (they are off "
+            f"by {np.abs(error).max():.2g})"
         )
     mujoco.mj_forward(model, data)
 

@@ -1,0 +1,68 @@
+"""Where an arm in the laboratory starts, and that it stays there until something pushes."""
+
+import mujoco
+import numpy as np
+import pytest
+
+import armperturb as ap
+
+MUSCLES = "".join(
+    f'<muscle joint="sh" gear="{arm}" force="300" lengthrange="-0.1 0.1" ctrlrange="0 1"/>' for arm in (0.04, -0.04)
+)
+
+
+def arm(rest="", shoulder="", option="", compiler=""):
+    """Two links of 0.3 m on springs, at rest with the shoulder at 30 and the elbow at 80 deg."""
+    return mujoco.MjSpec.from_string(
+        f"""<mujoco><compiler {compiler}/>{option}
+        <default><geom type="capsule" size="0.03" fromto="0 0 0 0.3 0 0"/></default>
+        <worldbody><body name="upper" euler="0 0 30">
+          <joint name="sh" axis="0 0 1" stiffness="40" damping="2" {shoulder}/><geom mass="2"/>
+          <body name="fore" pos="0.3 0 0" euler="0 0 80"><joint name="el" axis="0 0 1" stiffness="30" damping="1.5"/>
+            <geom mass="1.5"/><site name="palm" pos="0.3 0 0"/></body></body></worldbody>{rest}</mujoco>"""
+    )
+
+
+def with_key(actuators="", **key):
+    """What the arm has beside its segments: actuators, and a keyframe "k"."""
+    values = " ".join(f'{name}="{value}"' for name, value in key.items())
+    return f'<actuator>{actuators}</actuator><keyframe><key name="k" {values}/></keyframe>'
+
+
+def unpushed(laboratory):
+    """Largest displacement of a handle that nothing pushes [m]."""
+    recording = laboratory.record([ap.Pulse(peak=1e-9, direction_deg=0.0, onset=0.0, duration=0.5)])
+    return np.abs(recording["displacement"].values).max()
+
+
+def test_actuators_without_names_take_the_keyframe():
+    servo = '<position joint="sh" kp="100" kv="5"/>'
+    rest = ap.Laboratory(arm(with_key(servo + MUSCLES, qpos="0.3 0.1", ctrl="0.4 0.4 0.2")), "palm", keyframe="k").rest
+    assert rest.posture == pytest.approx({"sh": 0.3, "el": 0.1}, abs=0.05)
+    assert rest.activation == {"actuator1": 0.4, "actuator2": 0.2}
+
+
+def test_joints_without_names_take_the_keyframe():
+    spec = arm(with_key(qpos="0.3 0.1"))
+    named = ap.Laboratory(spec, "palm", keyframe="k").rest
+    for joint in spec.joints:
+        joint.name = ""
+    rest = ap.Laboratory(spec, "palm", keyframe="k").rest
+    assert rest.posture == {"joint0": named.posture["sh"], "joint1": named.posture["el"]}
+    np.testing.assert_array_equal(rest.force, named.force)
+    assert np.hypot(*rest.force) > 10.0
+    with pytest.raises(ValueError, match=r"posture_deg = 'el'; expected a joint of the model \(joint0, joint1\)"):
+        ap.Laboratory(spec, "palm", posture_deg={"el": 10.0})
+
+
+def test_a_ball_joint_takes_the_keyframe():
+    spec = arm(with_key(qpos="0.924 0 0 0.383 -0.3"), shoulder='type="ball"')
+    for joint in spec.joints:
+        joint.stiffness[0] = 0.0
+    laboratory = ap.Laboratory(spec, "palm", keyframe="k")
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    start = laboratory.model.body("lab/manipulator").pos
+    np.testing.assert_allclose(start, data.site("palm").xpos, atol=1e-9)
