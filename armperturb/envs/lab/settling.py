@@ -9,7 +9,7 @@ import numpy as np
 from armperturb.arrays import Array, Indices
 
 AT_REST = 1e-7
-"""Acceleration below which nothing has to settle [rad/s^2, m/s^2]."""
+"""Acceleration, and rate of activations, below which nothing has to settle [rad/s^2, m/s^2; 1/s]."""
 
 SETTLING = 30.0
 """Longest simulated time that an arm is given to come to rest [s]."""
@@ -21,7 +21,7 @@ IMMOVABLE = 1e9
 """Mass of a handle that is held [kg]."""
 
 STILL = 1e-9
-"""Displacement in a step below which an arm counts as still [rad, m]."""
+"""Displacement and change of activations in a step below which an arm counts as still [rad, m; -]."""
 
 STILL_STEPS = 100
 """Steps in a row for which it has to."""
@@ -46,6 +46,8 @@ class Settled:
 def settle(model: mujoco.MjModel, data: mujoco.MjData, handle: Indices, slides: Indices, gauge: int) -> Settled:
     """Let the arm find its rest with the handle held at its start; an arm that is at rest stays to the last bit.
 
+    Controls have been what they are for ever: activations follow them, and delays are over.
+
     Args:
       model: of arm and manipulator.
       data: whose state changes.
@@ -56,18 +58,19 @@ def settle(model: mujoco.MjModel, data: mujoco.MjData, handle: Indices, slides: 
     Raises:
       ValueError: the arm does not come to rest.
     """
+    _fill_delays(model, data)
     mujoco.mj_forward(model, data)
-    if np.abs(data.qacc).max(initial=0.0) < AT_REST:
+    if max(np.abs(data.qacc).max(), np.abs(data.act_dot).max(initial=0.0)) < AT_REST:
         return Settled(np.zeros(2), 0.0)
     held = copy.copy(model)
     held.dof_armature[slides] = IMMOVABLE
     n_steps = round(SETTLING / model.opt.timestep)
     step = still = 0
     while step < n_steps and still < STILL_STEPS:
-        before = data.qpos.copy()
+        before = np.concatenate([data.qpos, data.act])
         mujoco.mj_step(held, data)
         data.qvel *= LEFT
-        still = still + 1 if np.abs(data.qpos - before).max() < STILL else 0
+        still = still + 1 if np.abs(np.concatenate([data.qpos, data.act]) - before).max() < STILL else 0
         step += 1
     if still < STILL_STEPS:
         raise ValueError(
@@ -78,9 +81,18 @@ def settle(model: mujoco.MjModel, data: mujoco.MjData, handle: Indices, slides: 
     rest = data.qpos.copy(), data.act.copy(), data.ctrl.copy()
     mujoco.mj_resetData(model, data)
     data.qpos[:], data.act[:], data.ctrl[:] = rest
+    _fill_delays(model, data)
     mujoco.mj_forward(model, data)
     force = data.sensordata[gauge : gauge + 2].copy()
     return Settled(force, step * model.opt.timestep)
+
+
+def _fill_delays(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Let delayed actuators have had their control of now for as long as they look back."""
+    for actuator, (length, _) in enumerate(model.actuator_history):
+        if length:
+            times = data.time + np.arange(-length, 0) * model.opt.timestep
+            mujoco.mj_initCtrlHistory(model, data, actuator, times, np.full(length, data.ctrl[actuator]))
 
 
 def fastest_pole(model: mujoco.MjModel, data: mujoco.MjData) -> float:

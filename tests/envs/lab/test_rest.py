@@ -66,3 +66,22 @@ def test_a_ball_joint_takes_the_keyframe():
     mujoco.mj_forward(model, data)
     start = laboratory.model.body("lab/manipulator").pos
     np.testing.assert_allclose(start, data.site("palm").xpos, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("actuators", "key"),
+    [
+        (MUSCLES, {"ctrl": "0.4 0.2"}),
+        (MUSCLES, {"ctrl": "0.4 0.2", "act": "0.4 0.2"}),
+        ('<position joint="sh" kp="100" kv="5" timeconst="0.1"/>', {"ctrl": "0.2"}),
+        ('<general joint="sh" dyntype="filter" dynprm="0.1"/>', {"ctrl": "5"}),
+        ('<position joint="sh" kp="100" kv="5" delay="0.05" nsample="30"/>', {"ctrl": "0.2"}),
+        ('<motor joint="sh" delay="0.05" nsample="30"/>', {"ctrl": "5"}),
+    ],
+    ids=["muscles", "active muscles", "slow servo", "filter", "delayed servo", "delayed motor"],
+)
+def test_an_arm_stays_where_constant_controls_hold_it_until_something_pushes(actuators, key):
+    laboratory = ap.Laboratory(arm(with_key(actuators, qpos="0 0", **key)), "palm", keyframe="k")
+    assert laboratory.rest.settled > 0.0
+    assert np.hypot(*laboratory.rest.force) > 5.0
+    assert unpushed(laboratory) < 1e-6
