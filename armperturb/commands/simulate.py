@@ -96,7 +96,8 @@ class Simulate(Command):
         if np.isfinite(limit):
             raise ValueError(
                 f"{self.perturbation}: displacement reached the workspace limit at {limit:.3f} s; expected it to stay "
-                f"within {Environment().workspace:g} m of the start (a weaker perturbation or a stiffer subject)"
+                f"within {Environment().workspace:g} m of the start (a weaker perturbation, a stiffer arm or "
+                "weaker reflexes)"
             )
         save_recording(recording, self.out)
         sums = [f"{checksum(self.out)}  {self.out}"] if self.checksum else []

@@ -23,7 +23,7 @@ from armperturb.envs.lab.posture import (
     scalar_joints,
     take_posture,
 )
-from armperturb.envs.lab.settling import fastest_pole, settle
+from armperturb.envs.lab.settling import poles, settle
 from armperturb.envs.lab.setup import Setup, Truth, in_threads
 from armperturb.envs.lab.simulation import silent_simulator
 from armperturb.envs.lab.stepping import DIVERGED
@@ -36,6 +36,9 @@ from armperturb.perturbations import Perturbation, check_bandwidth
 from armperturb.recording import make_recording
 from armperturb.subject import RELAX, TASKS
 from armperturb.validation import LONGEST_NAME, require_number, require_one_of
+
+GROWTH = 0.01
+"""Largest real part of the poles of a stable arm [1/s]; what rounding makes of a pole at zero is below it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -137,7 +140,8 @@ class Laboratory:
         Raises:
           TypeError: a value has the wrong type.
           ValueError: the model cannot be read or has no such site, joint, keyframe or muscles; the hand cannot reach
-            the handle; the arm finds no rest; or a value is out of its range.
+            the handle; the arm finds no rest, or one that is unstable without a controller; or a value is out of its
+            range.
           OSError: the file cannot be read.
         """
         owner = "Laboratory"
@@ -180,10 +184,12 @@ class Laboratory:
         self._slides = np.array([self.model.joint(PREFIX + name).qposadr[0] for name in SLIDES])
         self._gauge = int(self.model.sensor(PREFIX + STRAIN_GAUGE).adr[0])
         self._push = self.model.actuator(PREFIX + PUSHES[0]).id
-        _require_slow(self.model, self._data, timestep)
+        slides = np.array([self.model.joint(PREFIX + name).dofadr[0] for name in SLIDES])
+        _require_slow(poles(self.model, self._data, slides, np.zeros(2)), timestep)
         with silent_simulator():
-            slides = np.array([self.model.joint(PREFIX + name).dofadr[0] for name in SLIDES])
             settled = settle(self.model, self._data, self._slides, slides, self._gauge)
+        if controller is None:  # what one does to the poles is not known
+            _require_stable(poles(self.model, self._data, slides, settled.force), settled.force)
         segments = segments_of(self.model, self._data, self.model.site(hand).id, turn, joints)
         self.rest = Rest(
             posture={arm.joint(j).name: float(self._data.qpos[arm.jnt_qposadr[j]]) for j in scalar_joints(arm)},
@@ -401,13 +407,24 @@ def _in_posture(
     return arm, data
 
 
-def _require_slow(model: mujoco.MjModel, data: mujoco.MjData, timestep: float) -> None:
+def _require_slow(poles: Array, timestep: float) -> None:
     """Refuse an arm that is too fast for the step of the simulation [s]."""
-    pole = fastest_pole(model, data)
-    if pole * timestep > RK4_LIMIT:
+    fastest = float(np.abs(poles).max())
+    if fastest * timestep > RK4_LIMIT:
         raise ValueError(
-            f"Laboratory: fastest pole of arm and grip = {pole:.4g} 1/s; expected at most {RK4_LIMIT / timestep:.4g} "
-            f"1/s at timestep = {timestep:g} s (a smaller timestep, or a softer grip)"
+            f"Laboratory: fastest pole of arm and grip = {fastest:.4g} 1/s; expected at most "
+            f"{RK4_LIMIT / timestep:.4g} 1/s at timestep = {timestep:g} s (a smaller timestep, or a softer grip)"
+        )
+
+
+def _require_stable(poles: Array, force: Array) -> None:
+    """Refuse an arm that does not return to its rest, where the manipulator bears a force [N]."""
+    growth = float(poles.real.max())
+    if growth > GROWTH:
+        raise ValueError(
+            f"Laboratory: the arm is unstable at rest, with {np.hypot(*force):.3g} N on the handle that the "
+            f"manipulator bears (it departs with {growth:.3g} 1/s); expected a rest to which it returns (a posture "
+            "or a handle nearer to where springs and muscles rest by themselves, or a stiffer arm)"
         )
 
 

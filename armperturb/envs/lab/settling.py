@@ -95,13 +95,20 @@ def _fill_delays(model: mujoco.MjModel, data: mujoco.MjData) -> None:
             mujoco.mj_initCtrlHistory(model, data, actuator, times, np.full(length, data.ctrl[actuator]))
 
 
-def fastest_pole(model: mujoco.MjModel, data: mujoco.MjData) -> float:
-    """Largest modulus of the poles of arm and manipulator at rest, with the muscles' activations constant [1/s]."""
-    probe, nv = mujoco.MjData(model), model.nv
-    rest = data.qpos.copy(), data.act.copy(), data.ctrl.copy()
+def poles(model: mujoco.MjModel, data: mujoco.MjData, slides: Indices, force: Array) -> Array:
+    """Of arm and manipulator at rest, with activations constant [1/s], (pole,).
+
+    Args:
+      model: of arm and manipulator.
+      data: at rest.
+      slides: where the handle's velocity is.
+      force: that the manipulator bears [N], (axis,).
+    """
+    probe, nv = copy.copy(data), model.nv
+    probe.qfrc_applied[slides] = force
 
     def acceleration(turn: Array, velocity: Array) -> Array:
-        probe.qpos[:], probe.act[:], probe.ctrl[:] = rest
+        probe.qpos[:] = data.qpos
         mujoco.mj_integratePos(model, probe.qpos, turn, 1.0)
         probe.qvel[:], probe.qacc_warmstart[:] = velocity, 0.0
         mujoco.mj_forward(model, probe)
@@ -114,4 +121,4 @@ def fastest_pole(model: mujoco.MjModel, data: mujoco.MjData) -> float:
     ]
     of_position, of_velocity = (np.transpose(slope) for slope in slopes)
     matrix = np.block([[np.zeros((nv, nv)), np.eye(nv)], [of_position, of_velocity]])
-    return float(np.abs(np.linalg.eigvals(matrix)).max())
+    return np.asarray(np.linalg.eigvals(matrix))

@@ -85,3 +85,18 @@ def test_an_arm_stays_where_constant_controls_hold_it_until_something_pushes(act
     assert laboratory.rest.settled > 0.0
     assert np.hypot(*laboratory.rest.force) > 5.0
     assert unpushed(laboratory) < 1e-6
+
+
+def test_an_arm_that_leaves_its_rest_under_the_force_that_it_bears_is_refused():
+    # Pushed together, the arm would buckle: largest real part of a pole -0.1 in the first posture, 5 1/s in the second.
+    stable = ap.Laboratory(arm(), "palm", posture_deg={"sh": -30.0})
+    assert np.hypot(*stable.rest.force) > 60.0
+    with pytest.raises(ValueError, match=r"unstable at rest, with 112 N on the handle .* with 4\.88 1/s\)"):
+        ap.Laboratory(arm(), "palm", posture_deg={"sh": -30.0, "el": 30.0})
+
+
+def test_an_arm_without_springs_is_not_unstable():
+    spec = arm()
+    for joint in spec.joints:
+        joint.stiffness[0] = joint.damping[0] = 0.0
+    assert unpushed(ap.Laboratory(spec, "palm")) < 1e-9
