@@ -2,7 +2,7 @@
 
 import copy
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,28 +17,32 @@ from armperturb.envs.lab.experiment import perturbation_labels, read_instruments
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.posture import (
     holding_activation,
-    listed,
     lock_joints,
     muscles_of,
     scalar_joints,
-    take_posture,
 )
-from armperturb.envs.lab.settling import poles, settle
+from armperturb.envs.lab.settling import require_slow, require_stable, settle
 from armperturb.envs.lab.setup import Setup, Truth, in_threads
 from armperturb.envs.lab.simulation import silent_simulator
+from armperturb.envs.lab.start import (
+    in_posture,
+    leaves_plane,
+    require_hand,
+    require_joints,
+    site_of_hand,
+    start_of,
+    take_controls,
+)
 from armperturb.envs.lab.stepping import DIVERGED
 from armperturb.envs.lab.stretch_reflex import Controller
-from armperturb.envs.lab.trial import MAX_DURATION, RK4_LIMIT
-from armperturb.envs.lab.two_segments import UPRIGHT, Segments, segments_of
+from armperturb.envs.lab.trial import MAX_DURATION
+from armperturb.envs.lab.two_segments import Segments, segments_of
 from armperturb.models.rig import AHEAD, SLIDES, STRAIN_GAUGE, start_motors
 from armperturb.models.scene import PREFIX, PUSHES, Grip, in_laboratory, load_arm
 from armperturb.perturbations import Perturbation, check_bandwidth
 from armperturb.recording import make_recording
 from armperturb.subject import RELAX, TASKS
 from armperturb.validation import LONGEST_NAME, require_number, require_one_of
-
-GROWTH = 0.01
-"""Largest real part of the poles of a stable arm [1/s]; what rounding makes of a pole at zero is below it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -157,16 +161,16 @@ class Laboratory:
             spec = load_arm(model)
         if not gravity:
             spec.option.gravity = np.zeros(3)
-        _require_hand(spec, hand_site)
-        start, controls = _start(spec, posture_deg or {}, keyframe)
-        _require_joints(spec, joints or (), "joints")
+        require_hand(spec, hand_site)
+        start, controls = start_of(spec, posture_deg or {}, keyframe)
+        require_joints(spec, joints or (), "joints")
         spec = lock_joints(spec, locked, start) if locked else spec
-        hand = _hand_site(spec, hand_site)
+        hand = site_of_hand(spec, hand_site)
         place = None if handle is None else np.array(handle, dtype=float)
         if place is not None and place.shape != (3,):
             raise ValueError(f"{owner}: handle = {handle!r}; expected three numbers, x, y and z [m]")
-        arm, data = _in_posture(spec, hand, start, posture_deg or {}, place)
-        _take_controls(arm, data, controls)
+        arm, data = in_posture(spec, hand, start, posture_deg or {}, place)
+        take_controls(arm, data, controls)
         muscles = muscles_of(arm)
         if activation is not None:
             if not len(muscles):
@@ -176,7 +180,7 @@ class Laboratory:
                 )
             holding_activation(arm, data, activation)
         site, turn = arm.site(hand).id, np.radians(turn_deg)
-        grip = Grip(stiffness=k_h, damping=b_h, upright=_leaves_plane(arm, data, site))
+        grip = Grip(stiffness=k_h, damping=b_h, upright=leaves_plane(arm, data, site))
         place = data.site_xpos[site].copy() if place is None else place
         self.model = in_laboratory(spec, hand, self.environment, grip, place, turn, timestep).compile()
         self._data = mujoco.MjData(self.model)
@@ -185,11 +189,11 @@ class Laboratory:
         self._gauge = int(self.model.sensor(PREFIX + STRAIN_GAUGE).adr[0])
         self._push = self.model.actuator(PREFIX + PUSHES[0]).id
         slides = np.array([self.model.joint(PREFIX + name).dofadr[0] for name in SLIDES])
-        _require_slow(poles(self.model, self._data, slides, np.zeros(2)), timestep)
+        require_slow(self.model, self._data, slides)
         with silent_simulator():
             settled = settle(self.model, self._data, self._slides, slides, self._gauge)
-        if controller is None:  # what one does to the poles is not known
-            _require_stable(poles(self.model, self._data, slides, settled.force), settled.force)
+        if controller is None:  # the poles with one are not known
+            require_stable(self.model, self._data, slides, settled.force)
         segments = segments_of(self.model, self._data, self.model.site(hand).id, turn, joints)
         self.rest = Rest(
             posture={arm.joint(j).name: float(self._data.qpos[arm.jnt_qposadr[j]]) for j in scalar_joints(arm)},
@@ -316,120 +320,3 @@ def _name_of(model: str | Path | mujoco.MjSpec) -> str:
     """What a recording calls the arm."""
     name = model.modelname if isinstance(model, mujoco.MjSpec) else Path(str(model).replace(":", "/")).stem
     return name[:LONGEST_NAME].strip() or "arm"
-
-
-def _has_joint(model: mujoco.MjModel, name: str) -> bool:
-    return mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name) >= 0
-
-
-def _require_hand(spec: mujoco.MjSpec, hand: str) -> None:
-    """Refuse a hand that the model does not have, or that nothing moves."""
-    if spec.site(hand) is None and (spec.body(hand) is None or hand == "world"):
-        sites, bodies = listed([site.name for site in spec.sites]), listed([body.name for body in spec.bodies[1:]])
-        raise ValueError(
-            f"Laboratory: hand_site = {hand!r}; expected a site of the model ({sites or 'it has none'}), or a body "
-            f"({bodies})"
-        )
-
-
-def _hand_site(spec: mujoco.MjSpec, hand: str) -> str:
-    """Name of the site that is the hand, which a body gets at its origin."""
-    if spec.site(hand) is not None:
-        return hand
-    spec.body(hand).add_site(name=PREFIX + "hand", group=4)
-    return PREFIX + "hand"
-
-
-def _require_joints(spec: mujoco.MjSpec, names: Sequence[str], field: str) -> None:
-    for name in names:
-        if spec.joint(name) is None:
-            joints = listed([joint.name for joint in spec.joints])
-            raise ValueError(f"Laboratory: {field} = {name!r}; expected a joint of the model ({joints})")
-
-
-Controls = dict[str, tuple[float, Array]]
-"""Actuator to its control, and its activations (some have none)."""
-
-
-def _start(
-    spec: mujoco.MjSpec, posture_deg: Mapping[str, float], keyframe: str | None
-) -> tuple[dict[str, ArrayLike], Controls]:
-    """Joint to its coordinates [rad or m], and controls, where a keyframe and a posture say so."""
-    _require_joints(spec, [*posture_deg], "posture_deg")
-    model = spec.copy().compile()
-    start: dict[str, ArrayLike] = {}
-    controls: Controls = {}
-    if keyframe is not None:
-        names = [model.key(i).name for i in range(model.nkey)]
-        if keyframe not in names:
-            raise ValueError(
-                f"Laboratory: keyframe = {keyframe!r}; expected one of the model ({listed(names) or 'it has none'})"
-            )
-        data = mujoco.MjData(model)
-        mujoco.mj_resetDataKeyframe(model, data, model.key(keyframe).id)
-        start = {model.joint(j).name: data.joint(j).qpos.copy() for j in range(model.njnt)}
-        controls = {
-            model.actuator(i).name: (float(data.ctrl[i]), data.act[_activations(model, i)].copy())
-            for i in range(model.nu)
-        }
-    for name, value in posture_deg.items():
-        joint = model.joint(name)
-        if joint.type[0] != mujoco.mjtJoint.mjJNT_HINGE:
-            raise ValueError(f"Laboratory: posture_deg of {name!r}; expected a hinge")
-        low, high = np.degrees(joint.range) if model.jnt_limited[joint.id] else (-360.0, 360.0)
-        require_number("Laboratory", f"posture_deg of {name!r}", value, at_least=float(low), at_most=float(high))
-        start[name] = float(np.radians(value))
-    return start, controls
-
-
-def _activations(model: mujoco.MjModel, actuator: int) -> slice:
-    """Where those of an actuator are among the activations."""
-    first = int(model.actuator_actadr[actuator])
-    return slice(first, first + int(model.actuator_actnum[actuator]))
-
-
-def _take_controls(model: mujoco.MjModel, data: mujoco.MjData, controls: Controls) -> None:
-    """Set controls and activations of the actuators that the model has; some went with joints that are locked."""
-    for name, (control, activations) in controls.items():
-        actuator = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name)
-        if actuator >= 0:
-            data.ctrl[actuator], data.act[_activations(model, actuator)] = control, activations
-
-
-def _in_posture(
-    spec: mujoco.MjSpec, hand: str, start: Mapping[str, ArrayLike], held: Collection[str], place: Array | None
-) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """The arm alone, as its joints start, of which some are held, or with its hand at a place in the world [m]."""
-    arm = spec.compile()
-    data = mujoco.MjData(arm)
-    moving = {name: value for name, value in start.items() if _has_joint(arm, name)}
-    take_posture(arm, data, moving, [name for name in held if name in moving], arm.site(hand).id, place)
-    return arm, data
-
-
-def _require_slow(poles: Array, timestep: float) -> None:
-    """Refuse an arm that is too fast for the step of the simulation [s]."""
-    fastest = float(np.abs(poles).max())
-    if fastest * timestep > RK4_LIMIT:
-        raise ValueError(
-            f"Laboratory: fastest pole of arm and grip = {fastest:.4g} 1/s; expected at most "
-            f"{RK4_LIMIT / timestep:.4g} 1/s at timestep = {timestep:g} s (a smaller timestep, or a softer grip)"
-        )
-
-
-def _require_stable(poles: Array, force: Array) -> None:
-    """Refuse an arm that does not return to its rest, where the manipulator bears a force [N]."""
-    growth = float(poles.real.max())
-    if growth > GROWTH:
-        raise ValueError(
-            f"Laboratory: the arm is unstable at rest, with {np.hypot(*force):.3g} N on the handle that the "
-            f"manipulator bears (it departs with {growth:.3g} 1/s); expected a rest to which it returns (a posture "
-            "or a handle nearer to where springs and muscles rest by themselves, or a stiffer arm)"
-        )
-
-
-def _leaves_plane(model: mujoco.MjModel, data: mujoco.MjData, site: int) -> bool:
-    """Whether joints can move the hand up or down."""
-    jacobian = np.zeros((3, model.nv))
-    mujoco.mj_jacSite(model, data, jacobian, None, site)
-    return bool(np.abs(jacobian[2]).max(initial=0.0) > UPRIGHT)

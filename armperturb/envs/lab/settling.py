@@ -1,4 +1,4 @@
-"""How an arm comes to rest with its hand at the handle, and the force that the handle then bears."""
+"""How an arm comes to rest with its hand at the handle, the force that the handle then bears, and its poles there."""
 
 import copy
 from dataclasses import dataclass
@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 
 from armperturb.arrays import Array, Indices
+from armperturb.envs.lab.trial import RK4_LIMIT
 
 AT_REST = 1e-7
 """Acceleration, and rate of activations, below which nothing has to settle [rad/s^2, m/s^2; 1/s]."""
@@ -16,6 +17,9 @@ SETTLING = 30.0
 
 PROBE = 1e-5
 """Displacement [rad, m] and velocity [rad/s, m/s] by which slopes of the acceleration are told."""
+
+GROWTH = 0.01
+"""Largest real part of the poles of a stable arm [1/s]; what rounding makes of a pole at zero is below it."""
 
 IMMOVABLE = 1e9
 """Mass of a handle that is held [kg]."""
@@ -95,7 +99,7 @@ def _fill_delays(model: mujoco.MjModel, data: mujoco.MjData) -> None:
             mujoco.mj_initCtrlHistory(model, data, actuator, times, np.full(length, data.ctrl[actuator]))
 
 
-def poles(model: mujoco.MjModel, data: mujoco.MjData, slides: Indices, force: Array) -> Array:
+def _poles(model: mujoco.MjModel, data: mujoco.MjData, slides: Indices, force: Array) -> Array:
     """Of arm and manipulator at rest, with activations constant [1/s], (pole,).
 
     Args:
@@ -122,3 +126,32 @@ def poles(model: mujoco.MjModel, data: mujoco.MjData, slides: Indices, force: Ar
     of_position, of_velocity = (np.transpose(slope) for slope in slopes)
     matrix = np.block([[np.zeros((nv, nv)), np.eye(nv)], [of_position, of_velocity]])
     return np.asarray(np.linalg.eigvals(matrix))
+
+
+def require_slow(model: mujoco.MjModel, data: mujoco.MjData, slides: Indices) -> None:
+    """Refuse an arm that is too fast for the step of the simulation; arguments as in `_poles`.
+
+    Raises:
+      ValueError: it is.
+    """
+    fastest, timestep = float(np.abs(_poles(model, data, slides, np.zeros(2))).max()), model.opt.timestep
+    if fastest * timestep > RK4_LIMIT:
+        raise ValueError(
+            f"Laboratory: fastest pole of arm and grip = {fastest:.4g} 1/s; expected at most "
+            f"{RK4_LIMIT / timestep:.4g} 1/s at timestep = {timestep:g} s (a smaller timestep, or a softer grip)"
+        )
+
+
+def require_stable(model: mujoco.MjModel, data: mujoco.MjData, slides: Indices, force: Array) -> None:
+    """Refuse an arm that does not return to its rest; arguments as in `_poles`.
+
+    Raises:
+      ValueError: it does not.
+    """
+    growth = float(_poles(model, data, slides, force).real.max())
+    if growth > GROWTH:
+        raise ValueError(
+            f"Laboratory: the arm is unstable at rest, with {np.hypot(*force):.3g} N on the handle that the "
+            f"manipulator bears (it departs with {growth:.3g} 1/s); expected a rest to which it returns (a posture "
+            "or a handle nearer to where springs and muscles rest by themselves, or a stiffer arm)"
+        )
