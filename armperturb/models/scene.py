@@ -114,6 +114,7 @@ def _attach_manipulator(
     machine = mujoco.MjSpec.from_file(str(MANIPULATOR_XML))
     machine.body("manipulator").pos = np.zeros(3)
     machine.body("carriage").mass = environment.m_env
+    machine.body("carriage").gravcomp = 1.0  # its table bears it, wherever the arm's world has its down
     for name in SLIDES:
         slide = machine.joint(name)
         slide.stiffness[0], slide.damping[0] = environment.k_env, environment.b_env

@@ -100,3 +100,9 @@ def test_an_arm_without_springs_is_not_unstable():
     for joint in spec.joints:
         joint.stiffness[0] = joint.damping[0] = 0.0
     assert unpushed(ap.Laboratory(spec, "palm")) < 1e-9
+
+
+def test_only_the_arm_has_weight():
+    laboratory = ap.Laboratory(arm(option='<option gravity="0 -9.81 0"/>'), "palm", gravity=True)
+    assert np.hypot(*laboratory.rest.force) > 10.0
+    assert unpushed(laboratory) < 1e-6
