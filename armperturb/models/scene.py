@@ -41,7 +41,7 @@ class Grip:
 
 
 def load_arm(source: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
-    """An arm's model, to be changed, in which every joint and actuator has a name.
+    """An arm's model, to be changed, in which every joint and actuator has a name, and masses are those that it moves.
 
     One without is called after its kind and its place among them, from 0: "joint0", "actuator2".
 
@@ -61,7 +61,20 @@ def load_arm(source: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
                 element.name = f"{kind}{place}"
                 while element.name in taken:
                     element.name += "_"
+    _scale_to_total_mass(spec)
     return spec
+
+
+def _scale_to_total_mass(spec: mujoco.MjSpec) -> None:
+    """Give the arm the masses that its compiler's `settotalmass` means, which would scale the manipulator as well."""
+    total, spec.compiler.settotalmass = spec.compiler.settotalmass, -1.0
+    if total > 0.0:
+        share = total / spec.copy().compile().body_mass.sum()
+        for geom in spec.geoms:
+            geom.mass, geom.density = geom.mass * share, geom.density * share
+        for body in spec.bodies:
+            body.mass *= share
+            body.inertia, body.fullinertia = body.inertia * share, body.fullinertia * share
 
 
 def _read(source: str | Path) -> mujoco.MjSpec:

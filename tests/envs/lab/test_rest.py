@@ -106,3 +106,9 @@ def test_only_the_arm_has_weight():
     laboratory = ap.Laboratory(arm(option='<option gravity="0 -9.81 0"/>'), "palm", gravity=True)
     assert np.hypot(*laboratory.rest.force) > 10.0
     assert unpushed(laboratory) < 1e-6
+
+
+def test_the_total_mass_of_a_compiler_is_that_of_the_arm():
+    model = ap.Laboratory(arm(compiler='settotalmass="7"'), "palm").model
+    masses = {name: model.body(name).mass[0] for name in ("upper", "fore", "lab/carriage")}
+    assert masses == pytest.approx({"upper": 4.0, "fore": 3.0, "lab/carriage": ap.Environment().m_env})
