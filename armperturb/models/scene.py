@@ -21,6 +21,9 @@ PUSHES = KNOWN[2:]
 UPRIGHT = ("grip_above", "grip_below")
 """Tendons that hold a hand which could leave the plane at the height of the handle."""
 
+NEVER_DISABLED = 31
+"""Group of actuators that no option of a model can disable, as it can those up to 30."""
+
 MYO_SIM = "myo_sim:"
 """Begins the name of a model of the package myo-sim, where one could also name a file."""
 
@@ -92,6 +95,28 @@ def _read(source: str | Path) -> mujoco.MjSpec:
         raise ValueError(f"{source}: {' '.join(str(error).split())}; expected a model in MJCF") from None
 
 
+def require_forces(arm: mujoco.MjSpec) -> None:
+    """Refuse an option of a model that disables forces on which the laboratory, or what is asked of it, is built.
+
+    Args:
+      arm: whose gravity is that which acts.
+
+    Raises:
+      ValueError: there is such an option.
+    """
+    disable = mujoco.mjtDisableBit
+    for name, flag, asked in (
+        ("spring", disable.mjDSBL_SPRING, "springs of the arm, the grip and the manipulator"),
+        ("damper", disable.mjDSBL_DAMPER, "dampers of the arm, the grip and the manipulator"),
+        ("actuation", disable.mjDSBL_ACTUATION, "actuators of the arm and the manipulator"),
+        ("gravity", disable.mjDSBL_GRAVITY if np.any(arm.option.gravity) else 0, "weights, as gravity = True asks,"),
+    ):
+        if arm.option.disableflags & flag:
+            raise ValueError(
+                f'Laboratory: <flag {name}="disable"/> of the model; expected no such flag, for {asked} to act'
+            )
+
+
 def in_laboratory(
     arm: mujoco.MjSpec, hand: str, environment: Environment, grip: Grip, place: Array, turn: float, timestep: float
 ) -> mujoco.MjSpec:
@@ -114,6 +139,7 @@ def in_laboratory(
         spec.delete(key)
     spec.option.timestep, spec.option.integrator = timestep, mujoco.mjtIntegrator.mjINT_RK4
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_SENSOR)  # the strain gauge is one
     frame = spec.worldbody.add_frame(pos=place, quat=[np.cos(turn / 2.0), 0.0, 0.0, np.sin(turn / 2.0)])
     _attach_manipulator(spec, frame, environment, grip.upright, timestep)
     _add_grip(spec, hand, grip)
@@ -143,6 +169,7 @@ def _attach_manipulator(
             name=name, target=slide, trntype=mujoco.mjtTrn.mjTRN_JOINT, gear=[1.0, 0, 0, 0, 0, 0]
         )
         motor.set_to_motor()
+        motor.group = NEVER_DISABLED
         motor.delay, motor.nsample, motor.interp = AHEAD * timestep, AHEAD + 1, 2  # a cubic
     machine.add_sensor(
         name=STRAIN_GAUGE,

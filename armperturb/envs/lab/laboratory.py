@@ -38,7 +38,7 @@ from armperturb.envs.lab.stretch_reflex import Controller
 from armperturb.envs.lab.trial import MAX_DURATION
 from armperturb.envs.lab.two_segments import Segments, segments_of
 from armperturb.models.rig import AHEAD, SLIDES, STRAIN_GAUGE, start_motors
-from armperturb.models.scene import PREFIX, PUSHES, Grip, in_laboratory, load_arm
+from armperturb.models.scene import PREFIX, PUSHES, Grip, in_laboratory, load_arm, require_forces
 from armperturb.perturbations import Perturbation, check_bandwidth
 from armperturb.recording import make_recording
 from armperturb.subject import RELAX, TASKS
@@ -161,6 +161,7 @@ class Laboratory:
             spec = load_arm(model)
         if not gravity:
             spec.option.gravity = np.zeros(3)
+        require_forces(spec)
         require_hand(spec, hand_site)
         start, controls = start_of(spec, posture_deg or {}, keyframe)
         require_joints(spec, joints or (), "joints")

@@ -112,3 +112,21 @@ def test_the_total_mass_of_a_compiler_is_that_of_the_arm():
     model = ap.Laboratory(arm(compiler='settotalmass="7"'), "palm").model
     masses = {name: model.body(name).mass[0] for name in ("upper", "fore", "lab/carriage")}
     assert masses == pytest.approx({"upper": 4.0, "fore": 3.0, "lab/carriage": ap.Environment().m_env})
+
+
+def flagged(*flags):
+    return arm(option="<option><flag " + " ".join(f'{name}="disable"' for name in flags) + "/></option>")
+
+
+def test_options_of_a_model_do_not_switch_the_laboratory_off():
+    push = [ap.Pulse(peak=20.0, direction_deg=30.0, onset=0.1, duration=0.5)]
+    expected = ap.Laboratory(arm(), "palm").record(push)
+    for model in (flagged("sensor", "gravity"), arm(option='<option actuatorgroupdisable="0 1 2 3 4 5 30"/>')):
+        recording = ap.Laboratory(model, "palm").record(push)
+        for name in ("force", "displacement"):
+            np.testing.assert_array_equal(recording[name].values, expected[name].values)
+    for name in ("spring", "damper", "actuation", "gravity"):
+        with pytest.raises(
+            ValueError, match=f'<flag {name}="disable"/> of the model; expected no such flag, for .* to act'
+        ):
+            ap.Laboratory(flagged(name), "palm", gravity=True)
