@@ -44,7 +44,8 @@ def lock_joints(spec: mujoco.MjSpec, patterns: Sequence[str], posture: Mapping[s
         are as the model has them.
 
     Raises:
-      ValueError: a pattern matches no joint, or only some of those between two bodies, or one in a frame.
+      ValueError: a pattern matches no joint, only some of those between two bodies, or one over which a fixed tendon
+        goes.
     """
     spec = spec.copy()
     for key in list(spec.keys):  # it would have too many positions
@@ -58,14 +59,24 @@ def lock_joints(spec: mujoco.MjSpec, patterns: Sequence[str], posture: Mapping[s
         if not matched:
             raise ValueError(f"lock = {pattern!r}; expected some of the model's joints: {listed(names)}")
         locked |= set(matched)
+    for tendon in spec.tendons:
+        for wrap in tendon.path:
+            if wrap.type == mujoco.mjtWrap.mjWRAP_JOINT and wrap.target.name in locked:
+                raise ValueError(
+                    f"lock: fixed tendon {tendon.name!r} goes over joint {wrap.target.name!r}; expected joints over "
+                    "which only spatial tendons go"
+                )
     for name, value in posture.items():
         data.joint(name).qpos = value
     mujoco.mj_kinematics(model, data)
     for body in {spec.joint(name).parent.id: spec.joint(name).parent for name in sorted(locked)}.values():
         left = [joint.name for joint in body.joints if joint.name not in locked]
-        if left or body.frame is not None:
-            problem = f"would keep {listed(left)}" if left else "stands in a frame"
-            raise ValueError(f"lock: body {body.name!r} {problem}; expected all joints of a body or none of them")
+        if left:
+            raise ValueError(
+                f"lock: body {body.name!r} would keep {listed(left)}; expected all joints of a body or none of them"
+            )
+        if body.frame is not None:  # what follows is in the frame of the parent
+            body.set_frame(body.parent.add_frame())
         parent = model.body_parentid[body.id]
         back, turned, shifted = np.empty(4), np.empty(4), np.empty(3)
         mujoco.mju_negQuat(back, data.xquat[parent])

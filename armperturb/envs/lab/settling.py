@@ -77,9 +77,11 @@ def settle(model: mujoco.MjModel, data: mujoco.MjData, handle: Indices, slides: 
         still = still + 1 if np.abs(np.concatenate([data.qpos, data.act]) - before).max() < STILL else 0
         step += 1
     if still < STILL_STEPS:
+        moving = model.joint(model.dof_jntid[np.abs(data.qvel).argmax()])
         raise ValueError(
-            f"Laboratory: the arm does not come to rest within {SETTLING:g} s; expected a posture that its springs and "
-            "muscles hold (another posture or activation, or joints that are locked)"
+            f"Laboratory: the arm does not come to rest within {SETTLING:g} s, joint {moving.name!r} of body "
+            f"{model.body(moving.bodyid[0]).name!r} moves; expected a posture that springs and muscles hold (another "
+            "posture or activation, or joints that are locked)"
         )
     data.qpos[handle] = 0.0
     rest = data.qpos.copy(), data.act.copy(), data.ctrl.copy()

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from armperturb.arrays import Array
 from armperturb.envs.lab.posture import listed, take_posture
-from armperturb.envs.lab.two_segments import UPRIGHT
+from armperturb.envs.lab.two_segments import UPRIGHT, moving_joints
 from armperturb.models.scene import PREFIX
 from armperturb.validation import require_number
 
@@ -106,8 +106,16 @@ def take_controls(model: mujoco.MjModel, data: mujoco.MjData, controls: Controls
 def in_posture(
     spec: mujoco.MjSpec, hand: str, start: Mapping[str, ArrayLike], held: Collection[str], place: Array | None
 ) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """The arm alone, as its joints start, of which some are held, or with its hand at a place in the world [m]."""
+    """The arm alone, as its joints start, of which some are held, or with its hand at a place in the world [m].
+
+    Raises:
+      ValueError: no joint moves the hand, or see `take_posture`.
+    """
     arm = spec.compile()
+    if not moving_joints(arm, int(arm.site(hand).bodyid[0])):
+        raise ValueError(
+            "Laboratory: no joint moves the hand; expected at least one (fewer that are locked, or another hand_site)"
+        )
     data = mujoco.MjData(arm)
     moving = {name: value for name, value in start.items() if _has_joint(arm, name)}
     take_posture(arm, data, moving, [name for name in held if name in moving], arm.site(hand).id, place)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import armperturb as ap
+from armperturb.envs.lab import settling
 
 MUSCLES = "".join(
     f'<muscle joint="sh" gear="{arm}" force="300" lengthrange="-0.1 0.1" ctrlrange="0 1"/>' for arm in (0.04, -0.04)
@@ -130,3 +131,23 @@ def test_options_of_a_model_do_not_switch_the_laboratory_off():
             ValueError, match=f'<flag {name}="disable"/> of the model; expected no such flag, for .* to act'
         ):
             ap.Laboratory(flagged(name), "palm", gravity=True)
+
+
+def test_what_falls_beside_the_arm_is_named_where_nothing_comes_to_rest(monkeypatch):
+    monkeypatch.setattr(settling, "SETTLING", 0.5)
+    spec = arm()
+    ball = spec.worldbody.add_body(name="ball", pos=[1.0, 1.0, 1.0])
+    ball.add_freejoint()
+    ball.add_geom(size=[0.1, 0.0, 0.0], fromto=[np.nan] * 6, type=mujoco.mjtGeom.mjGEOM_SPHERE)
+    assert np.abs(ap.Laboratory(spec, "palm").rest.force).max() == 0.0
+    with pytest.raises(ValueError, match="joint 'joint2' of body 'ball' moves; expected a posture"):
+        ap.Laboratory(spec, "palm", gravity=True)
+    ap.Laboratory(spec, "palm", gravity=True, locked=["joint2"])
+
+
+def test_joints_that_are_locked_do_not_move_the_hand():
+    assert "lengths and angles are unknown" in ap.Laboratory(arm(), "palm", locked=["sh"]).rest.summary()
+    with pytest.raises(ValueError, match=r"joints = 'sh'; expected a joint of the model \(el\)"):
+        ap.Laboratory(arm(), "palm", locked=["sh"], joints=("sh", "el"))
+    with pytest.raises(ValueError, match="no joint moves the hand; expected at least one"):
+        ap.Laboratory(arm(), "palm", locked=["*"])
