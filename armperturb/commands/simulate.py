@@ -57,7 +57,7 @@ class Simulate(Command):
     lock: tuple[str, ...] = ()
     """Joints that cuffs hold in the start posture; * stands for any text."""
     joints: tuple[str, str] | None = None
-    """Shoulder and elbow, if more than two hinges about the vertical move the hand; identify needs them."""
+    """Shoulder and elbow, if other joints than two hinges about the vertical move the hand; identify needs them."""
     handle: tuple[float, float, float] | None = None
     """Where the handle starts, in the model's world [m]; by default at the hand."""
     turn_deg: float = 0.0

@@ -76,13 +76,15 @@ class Rest:
             lines.append(
                 f"muscles: {len(values)}, activation {values.mean():.3g} on average, at most {values.max():.3g}"
             )
-        if np.isfinite(self.segments.l_h):
-            arm = self.segments
+        arm = self.segments
+        if np.isfinite(arm.l_h):
             side = " (a left arm, recorded as in a mirror)" if arm.is_left else ""
             lines.append(
                 f"arm: {arm.l_h:.3g} and {arm.l_f:.3g} m, shoulder at {arm.theta_s_deg:.3g} and elbow at "
                 f"{arm.theta_e_deg:.3g} deg{side}"
             )
+        if arm.refused:
+            lines.append(f"arm: {arm.refused}")
         return "\n".join(lines)
 
 
@@ -132,7 +134,7 @@ class Laboratory:
             constraints ask them to be. A joint without a name is called by its place, "joint0" for the first.
           keyframe: of the model, whose posture, controls and activations are taken.
           locked: joints that the cuffs hold in this posture; "*" in a name stands for any text.
-          joints: names of shoulder and elbow, if more than two hinges about the vertical move the hand.
+          joints: names of shoulder and elbow, if other joints than two hinges about the vertical move the hand.
           handle: where the handle starts, in the world of the model [m], x, y and z; None for at the hand. Joints move
             to reach it.
           turn_deg: of the handle's x axis (right) from the model's about the vertical [deg]; y is forward.
@@ -153,6 +155,11 @@ class Laboratory:
         require_number(owner, "b_h", b_h, at_least=0.0)
         for name, value in (("timestep", timestep), ("k_h", k_h)):
             require_number(owner, name, value, above=0.0)
+        for field, names in (("locked", locked), ("joints", joints)):
+            if isinstance(names, str):
+                raise TypeError(f"{owner}: {field} = {names!r}; expected several names, e.g. {(names,)!r}")
+        if joints is not None and len(joints) != 2:
+            raise ValueError(f"{owner}: joints = {joints!r}; expected two names, those of shoulder and elbow")
         if activation is not None:
             require_number(owner, "activation", activation, at_least=0.0, at_most=1.0)
         self.environment, self.timestep, self._controller = environment or Environment(), timestep, controller
@@ -164,8 +171,8 @@ class Laboratory:
         require_forces(spec)
         require_hand(spec, hand_site)
         start, controls = start_of(spec, posture_deg or {}, keyframe)
-        require_joints(spec, joints or (), "joints")
         spec = lock_joints(spec, locked, start) if locked else spec
+        require_joints(spec, joints or (), "joints")
         hand = site_of_hand(spec, hand_site)
         place = None if handle is None else np.array(handle, dtype=float)
         if place is not None and place.shape != (3,):
