@@ -114,7 +114,7 @@ def in_posture(
     arm = spec.compile()
     if not moving_joints(arm, int(arm.site(hand).bodyid[0])):
         raise ValueError(
-            "Laboratory: no joint moves the hand; expected at least one (fewer that are locked, or another hand_site)"
+            "Laboratory: no joint moves the hand; expected at least one (fewer locked joints, or another hand_site)"
         )
     data = mujoco.MjData(arm)
     moving = {name: value for name, value in start.items() if _has_joint(arm, name)}
