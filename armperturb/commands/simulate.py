@@ -86,6 +86,11 @@ class Simulate(Command):
         perturbation = load_perturbation(self.perturbation)
         require_new([self.out], overwrite=self.overwrite)
         instruments = None if self.ideal else Instruments()
+        if instruments and instruments.antialias and self.rate <= 2.0 * instruments.antialias:
+            raise ValueError(
+                f"simulate: rate = {self.rate:g} Hz; expected above {2.0 * instruments.antialias:g} Hz, as a filter of "
+                f"{instruments.antialias:g} Hz precedes the recorder (--ideal records without it)"
+            )
         arm = self.mjcf or self.subject
         try:
             record = self._of_subject if self.mjcf is None else self._of_model
