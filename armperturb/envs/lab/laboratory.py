@@ -145,9 +145,9 @@ class Laboratory:
 
         Raises:
           TypeError: a value has the wrong type.
-          ValueError: the model cannot be read or has no such site, joint, keyframe or muscles; the hand cannot reach
-            the handle; the arm finds no rest, or one that is unstable without a controller; or a value is out of its
-            range.
+          ValueError: the model cannot be read, disables forces, or has no such site, joint, keyframe or muscles; the
+            hand cannot reach the handle; the arm finds no rest, or one that is unstable without a controller; or a
+            value is out of its range.
           OSError: the file cannot be read.
         """
         owner = "Laboratory"
