@@ -114,7 +114,7 @@ class ConditionTrials:
                 meaning = TRIAL_COORDINATES[name][1]
                 raise ValueError(
                     f"recording: {name} is unknown in {self.label}; expected the {meaning}, which a model of the arm "
-                    f"needs (labels.{name} of the sidecar; of all: {', '.join(ARM_LABELS)})"
+                    f"needs (labels.{name} of the sidecar; of all: {', '.join(ARM_LABELS)}; joints of a Laboratory)"
                 )
         require_one_of("recording", "task", values["task"], TASKS)
         preset = POSITION if values["task"] == POSITION.task else RELAX

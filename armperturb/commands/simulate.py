@@ -57,7 +57,7 @@ class Simulate(Command):
     lock: tuple[str, ...] = ()
     """Joints that cuffs hold in the start posture; * stands for any text."""
     joints: tuple[str, str] | None = None
-    """Shoulder and elbow, if more than two hinges about the vertical move the hand; identify needs them."""
+    """Shoulder and elbow, if other joints than two hinges about the vertical move the hand; identify needs them."""
     handle: tuple[float, float, float] | None = None
     """Where the handle starts, in the model's world [m]; by default at the hand."""
     turn_deg: float = 0.0
@@ -86,6 +86,11 @@ class Simulate(Command):
         perturbation = load_perturbation(self.perturbation)
         require_new([self.out], overwrite=self.overwrite)
         instruments = None if self.ideal else Instruments()
+        if instruments and instruments.antialias and self.rate <= 2.0 * instruments.antialias:
+            raise ValueError(
+                f"simulate: rate = {self.rate:g} Hz; expected above {2.0 * instruments.antialias:g} Hz, as a filter of "
+                f"{instruments.antialias:g} Hz precedes the recorder (--ideal records without it)"
+            )
         arm = self.mjcf or self.subject
         try:
             record = self._of_subject if self.mjcf is None else self._of_model
@@ -96,7 +101,8 @@ class Simulate(Command):
         if np.isfinite(limit):
             raise ValueError(
                 f"{self.perturbation}: displacement reached the workspace limit at {limit:.3f} s; expected it to stay "
-                f"within {Environment().workspace:g} m of the start (a weaker perturbation or a stiffer subject)"
+                f"within {Environment().workspace:g} m of the start (a weaker perturbation, a stiffer arm or "
+                "weaker reflexes)"
             )
         save_recording(recording, self.out)
         sums = [f"{checksum(self.out)}  {self.out}"] if self.checksum else []

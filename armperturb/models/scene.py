@@ -21,6 +21,9 @@ PUSHES = KNOWN[2:]
 UPRIGHT = ("grip_above", "grip_below")
 """Tendons that hold a hand which could leave the plane at the height of the handle."""
 
+NEVER_DISABLED = 31
+"""Group of actuators that no option of a model can disable, as it can those up to 30."""
+
 MYO_SIM = "myo_sim:"
 """Begins the name of a model of the package myo-sim, where one could also name a file."""
 
@@ -41,7 +44,9 @@ class Grip:
 
 
 def load_arm(source: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
-    """An arm's model, to be changed.
+    """An arm's model, to be changed, in which every joint and actuator has a name, and masses are those that it moves.
+
+    One without is called after its kind and its place among them, from 0: "joint0", "actuator2".
 
     Args:
       source: an MJCF file, "myo_sim:NAME" for a model of the package myo-sim, or a specification, which stays as it is.
@@ -51,8 +56,32 @@ def load_arm(source: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
       OSError: the file cannot be read.
       MissingExtraError: the package myo-sim is not installed.
     """
-    if isinstance(source, mujoco.MjSpec):
-        return source.copy()
+    spec = source.copy() if isinstance(source, mujoco.MjSpec) else _read(source)
+    for kind, elements in (("joint", spec.joints), ("actuator", spec.actuators)):
+        taken = {element.name for element in elements}
+        for place, element in enumerate(elements):
+            if not element.name:
+                element.name = f"{kind}{place}"
+                while element.name in taken:
+                    element.name += "_"
+    _scale_to_total_mass(spec)
+    return spec
+
+
+def _scale_to_total_mass(spec: mujoco.MjSpec) -> None:
+    """Give the arm the masses that its compiler's `settotalmass` means, which would scale the manipulator as well."""
+    total, spec.compiler.settotalmass = spec.compiler.settotalmass, -1.0
+    if total > 0.0:
+        share = total / spec.copy().compile().body_mass.sum()
+        for geom in spec.geoms:
+            geom.mass, geom.density = geom.mass * share, geom.density * share
+        for body in spec.bodies:
+            body.mass *= share
+            body.inertia, body.fullinertia = body.inertia * share, body.fullinertia * share
+
+
+def _read(source: str | Path) -> mujoco.MjSpec:
+    """A model as it is; errors as in `load_arm`."""
     if not str(source).startswith(MYO_SIM):
         require_moderate(Path(source))
     try:
@@ -64,6 +93,28 @@ def load_arm(source: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
             return mujoco.MjSpec.from_file(str(source))
     except ValueError as error:
         raise ValueError(f"{source}: {' '.join(str(error).split())}; expected a model in MJCF") from None
+
+
+def require_forces(arm: mujoco.MjSpec) -> None:
+    """Refuse an option of a model that disables forces on which the laboratory, or what is asked of it, is built.
+
+    Args:
+      arm: whose gravity is that which acts.
+
+    Raises:
+      ValueError: there is such an option.
+    """
+    disable = mujoco.mjtDisableBit
+    for name, flag, asked in (
+        ("spring", disable.mjDSBL_SPRING, "springs of the arm, the grip and the manipulator"),
+        ("damper", disable.mjDSBL_DAMPER, "dampers of the arm, the grip and the manipulator"),
+        ("actuation", disable.mjDSBL_ACTUATION, "actuators of the arm and the manipulator"),
+        ("gravity", disable.mjDSBL_GRAVITY if np.any(arm.option.gravity) else 0, "weights, as gravity = True asks,"),
+    ):
+        if arm.option.disableflags & flag:
+            raise ValueError(
+                f'Laboratory: <flag {name}="disable"/> of the model; expected no such flag, for {asked} to act'
+            )
 
 
 def in_laboratory(
@@ -88,6 +139,7 @@ def in_laboratory(
         spec.delete(key)
     spec.option.timestep, spec.option.integrator = timestep, mujoco.mjtIntegrator.mjINT_RK4
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_SENSOR)  # the strain gauge is one
     frame = spec.worldbody.add_frame(pos=place, quat=[np.cos(turn / 2.0), 0.0, 0.0, np.sin(turn / 2.0)])
     _attach_manipulator(spec, frame, environment, grip.upright, timestep)
     _add_grip(spec, hand, grip)
@@ -101,6 +153,7 @@ def _attach_manipulator(
     machine = mujoco.MjSpec.from_file(str(MANIPULATOR_XML))
     machine.body("manipulator").pos = np.zeros(3)
     machine.body("carriage").mass = environment.m_env
+    machine.body("carriage").gravcomp = 1.0  # its table bears it, wherever the arm's world has its down
     for name in SLIDES:
         slide = machine.joint(name)
         slide.stiffness[0], slide.damping[0] = environment.k_env, environment.b_env
@@ -116,6 +169,7 @@ def _attach_manipulator(
             name=name, target=slide, trntype=mujoco.mjtTrn.mjTRN_JOINT, gear=[1.0, 0, 0, 0, 0, 0]
         )
         motor.set_to_motor()
+        motor.group = NEVER_DISABLED
         motor.delay, motor.nsample, motor.interp = AHEAD * timestep, AHEAD + 1, 2  # a cubic
     machine.add_sensor(
         name=STRAIN_GAUGE,

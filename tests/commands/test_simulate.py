@@ -47,6 +47,10 @@ def test_a_muscle_driven_arm_is_recorded(folder, capsys):
         (("--mjcf", "{}/two_link.xml", "--hand", "palm", "--handle", "3", "0", "1"), "that the hand can reach"),
         (("--mjcf", "{}/two_link.xml", "--hand", "palm", "--posture-deg", "q1"), "expected JOINT=ANGLE in degrees"),
         (("--mjcf", "{}/none.xml", "--hand", "palm"), "none.xml"),
+        (
+            ("--mjcf", "{}/two_link.xml", "--hand", "palm", "--rate", "160"),
+            "rate = 160 Hz; expected above 160 Hz, as a filter of 80 Hz precedes the recorder (--ideal",
+        ),
     ],
 )
 def test_refusals_are_one_line(folder, capsys, options, message):

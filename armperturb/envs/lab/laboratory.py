@@ -2,7 +2,7 @@
 
 import copy
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,23 +16,29 @@ from armperturb.environment import TIMESTEP, Environment
 from armperturb.envs.lab.experiment import perturbation_labels, read_instruments
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.posture import (
-    fastest_pole,
     holding_activation,
-    listed,
     lock_joints,
     muscles_of,
     scalar_joints,
-    settle,
-    take_posture,
 )
+from armperturb.envs.lab.settling import require_slow, require_stable, settle
 from armperturb.envs.lab.setup import Setup, Truth, in_threads
 from armperturb.envs.lab.simulation import silent_simulator
+from armperturb.envs.lab.start import (
+    in_posture,
+    leaves_plane,
+    require_hand,
+    require_joints,
+    site_of_hand,
+    start_of,
+    take_controls,
+)
 from armperturb.envs.lab.stepping import DIVERGED
 from armperturb.envs.lab.stretch_reflex import Controller
-from armperturb.envs.lab.trial import MAX_DURATION, RK4_LIMIT
-from armperturb.envs.lab.two_segments import UPRIGHT, Segments, segments_of
+from armperturb.envs.lab.trial import MAX_DURATION
+from armperturb.envs.lab.two_segments import Segments, segments_of
 from armperturb.models.rig import AHEAD, SLIDES, STRAIN_GAUGE, start_motors
-from armperturb.models.scene import PREFIX, PUSHES, Grip, in_laboratory, load_arm
+from armperturb.models.scene import PREFIX, PUSHES, Grip, in_laboratory, load_arm, require_forces
 from armperturb.perturbations import Perturbation, check_bandwidth
 from armperturb.recording import make_recording
 from armperturb.subject import RELAX, TASKS
@@ -70,13 +76,15 @@ class Rest:
             lines.append(
                 f"muscles: {len(values)}, activation {values.mean():.3g} on average, at most {values.max():.3g}"
             )
-        if np.isfinite(self.segments.l_h):
-            arm = self.segments
+        arm = self.segments
+        if np.isfinite(arm.l_h):
             side = " (a left arm, recorded as in a mirror)" if arm.is_left else ""
             lines.append(
                 f"arm: {arm.l_h:.3g} and {arm.l_f:.3g} m, shoulder at {arm.theta_s_deg:.3g} and elbow at "
                 f"{arm.theta_e_deg:.3g} deg{side}"
             )
+        if arm.refused:
+            lines.append(f"arm: {arm.refused}")
         return "\n".join(lines)
 
 
@@ -123,10 +131,10 @@ class Laboratory:
             asks for. None leaves controls as the keyframe or the model has them.
           controller: what acts at each step beside constant activations, such as `StretchReflex`.
           posture_deg: hinge to angle [deg]; other joints are as in the keyframe or the model, or where equality
-            constraints ask them to be.
-          keyframe: of the model, whose posture and controls are taken.
+            constraints ask them to be. A joint without a name is called by its place, "joint0" for the first.
+          keyframe: of the model, whose posture, controls and activations are taken.
           locked: joints that the cuffs hold in this posture; "*" in a name stands for any text.
-          joints: names of shoulder and elbow, if more than two hinges about the vertical move the hand.
+          joints: names of shoulder and elbow, if other joints than two hinges about the vertical move the hand.
           handle: where the handle starts, in the world of the model [m], x, y and z; None for at the hand. Joints move
             to reach it.
           turn_deg: of the handle's x axis (right) from the model's about the vertical [deg]; y is forward.
@@ -137,8 +145,9 @@ class Laboratory:
 
         Raises:
           TypeError: a value has the wrong type.
-          ValueError: the model cannot be read or has no such site, joint, keyframe or muscles; the hand cannot reach
-            the handle; the arm finds no rest; or a value is out of its range.
+          ValueError: the model cannot be read, disables forces, or has no such site, joint, keyframe or muscles; the
+            hand cannot reach the handle; the arm finds no rest, or one that is unstable without a controller; or a
+            value is out of its range.
           OSError: the file cannot be read.
         """
         owner = "Laboratory"
@@ -146,6 +155,11 @@ class Laboratory:
         require_number(owner, "b_h", b_h, at_least=0.0)
         for name, value in (("timestep", timestep), ("k_h", k_h)):
             require_number(owner, name, value, above=0.0)
+        for field, names in (("locked", locked), ("joints", joints)):
+            if isinstance(names, str):
+                raise TypeError(f"{owner}: {field} = {names!r}; expected several names, e.g. {(names,)!r}")
+        if joints is not None and len(joints) != 2:
+            raise ValueError(f"{owner}: joints = {joints!r}; expected two names, those of shoulder and elbow")
         if activation is not None:
             require_number(owner, "activation", activation, at_least=0.0, at_most=1.0)
         self.environment, self.timestep, self._controller = environment or Environment(), timestep, controller
@@ -154,17 +168,17 @@ class Laboratory:
             spec = load_arm(model)
         if not gravity:
             spec.option.gravity = np.zeros(3)
-        _require_hand(spec, hand_site)
-        start, controls = _start(spec, posture_deg or {}, keyframe)
-        _require_joints(spec, joints or (), "joints")
+        require_forces(spec)
+        require_hand(spec, hand_site)
+        start, controls = start_of(spec, posture_deg or {}, keyframe)
         spec = lock_joints(spec, locked, start) if locked else spec
-        hand = _hand_site(spec, hand_site)
+        require_joints(spec, joints or (), "joints")
+        hand = site_of_hand(spec, hand_site)
         place = None if handle is None else np.array(handle, dtype=float)
         if place is not None and place.shape != (3,):
             raise ValueError(f"{owner}: handle = {handle!r}; expected three numbers, x, y and z [m]")
-        arm, data = _in_posture(spec, hand, start, posture_deg or {}, place)
-        for name, value in controls.items():
-            data.ctrl[arm.actuator(name).id] = value
+        arm, data = in_posture(spec, hand, start, posture_deg or {}, place)
+        take_controls(arm, data, controls)
         muscles = muscles_of(arm)
         if activation is not None:
             if not len(muscles):
@@ -174,7 +188,7 @@ class Laboratory:
                 )
             holding_activation(arm, data, activation)
         site, turn = arm.site(hand).id, np.radians(turn_deg)
-        grip = Grip(stiffness=k_h, damping=b_h, upright=_leaves_plane(arm, data, site))
+        grip = Grip(stiffness=k_h, damping=b_h, upright=leaves_plane(arm, data, site))
         place = data.site_xpos[site].copy() if place is None else place
         self.model = in_laboratory(spec, hand, self.environment, grip, place, turn, timestep).compile()
         self._data = mujoco.MjData(self.model)
@@ -182,10 +196,12 @@ class Laboratory:
         self._slides = np.array([self.model.joint(PREFIX + name).qposadr[0] for name in SLIDES])
         self._gauge = int(self.model.sensor(PREFIX + STRAIN_GAUGE).adr[0])
         self._push = self.model.actuator(PREFIX + PUSHES[0]).id
-        _require_slow(self.model, self._data, timestep)
+        slides = np.array([self.model.joint(PREFIX + name).dofadr[0] for name in SLIDES])
+        require_slow(self.model, self._data, slides)
         with silent_simulator():
-            slides = np.array([self.model.joint(PREFIX + name).dofadr[0] for name in SLIDES])
             settled = settle(self.model, self._data, self._slides, slides, self._gauge)
+        if controller is None:  # the poles with one are not known
+            require_stable(self.model, self._data, slides, settled.force)
         segments = segments_of(self.model, self._data, self.model.site(hand).id, turn, joints)
         self.rest = Rest(
             posture={arm.joint(j).name: float(self._data.qpos[arm.jnt_qposadr[j]]) for j in scalar_joints(arm)},
@@ -312,91 +328,3 @@ def _name_of(model: str | Path | mujoco.MjSpec) -> str:
     """What a recording calls the arm."""
     name = model.modelname if isinstance(model, mujoco.MjSpec) else Path(str(model).replace(":", "/")).stem
     return name[:LONGEST_NAME].strip() or "arm"
-
-
-def _has_joint(model: mujoco.MjModel, name: str) -> bool:
-    return mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name) >= 0
-
-
-def _require_hand(spec: mujoco.MjSpec, hand: str) -> None:
-    """Refuse a hand that the model does not have, or that nothing moves."""
-    if spec.site(hand) is None and (spec.body(hand) is None or hand == "world"):
-        sites, bodies = listed([site.name for site in spec.sites]), listed([body.name for body in spec.bodies[1:]])
-        raise ValueError(
-            f"Laboratory: hand_site = {hand!r}; expected a site of the model ({sites or 'it has none'}), or a body "
-            f"({bodies})"
-        )
-
-
-def _hand_site(spec: mujoco.MjSpec, hand: str) -> str:
-    """Name of the site that is the hand, which a body gets at its origin."""
-    if spec.site(hand) is not None:
-        return hand
-    spec.body(hand).add_site(name=PREFIX + "hand", group=4)
-    return PREFIX + "hand"
-
-
-def _require_joints(spec: mujoco.MjSpec, names: Sequence[str], field: str) -> None:
-    for name in names:
-        if spec.joint(name) is None:
-            joints = listed([joint.name for joint in spec.joints])
-            raise ValueError(f"Laboratory: {field} = {name!r}; expected a joint of the model ({joints})")
-
-
-def _start(
-    spec: mujoco.MjSpec, posture_deg: Mapping[str, float], keyframe: str | None
-) -> tuple[dict[str, float], dict[str, float]]:
-    """Joint to position [rad or m], and actuator to control, where a keyframe and a posture say so."""
-    _require_joints(spec, [*posture_deg], "posture_deg")
-    model = spec.copy().compile()
-    start: dict[str, float] = {}
-    controls: dict[str, float] = {}
-    if keyframe is not None:
-        names = [model.key(i).name for i in range(model.nkey)]
-        if keyframe not in names:
-            raise ValueError(
-                f"Laboratory: keyframe = {keyframe!r}; expected one of the model ({listed(names) or 'it has none'})"
-            )
-        key = model.key(keyframe)
-        start = {
-            model.joint(j).name: float(key.qpos[model.jnt_qposadr[j]])
-            for j in scalar_joints(model)
-            if model.joint(j).name
-        }
-        controls = {model.actuator(i).name: float(key.ctrl[i]) for i in range(model.nu) if model.actuator(i).name}
-    for name, value in posture_deg.items():
-        joint = model.joint(name)
-        if joint.type[0] != mujoco.mjtJoint.mjJNT_HINGE:
-            raise ValueError(f"Laboratory: posture_deg of {name!r}; expected a hinge")
-        low, high = np.degrees(joint.range) if model.jnt_limited[joint.id] else (-360.0, 360.0)
-        require_number("Laboratory", f"posture_deg of {name!r}", value, at_least=float(low), at_most=float(high))
-        start[name] = float(np.radians(value))
-    return start, controls
-
-
-def _in_posture(
-    spec: mujoco.MjSpec, hand: str, start: Mapping[str, float], held: Collection[str], place: Array | None
-) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """The arm alone, as its joints start, of which some are held, or with its hand at a place in the world [m]."""
-    arm = spec.compile()
-    data = mujoco.MjData(arm)
-    moving = {name: value for name, value in start.items() if _has_joint(arm, name)}
-    take_posture(arm, data, moving, [name for name in held if name in moving], arm.site(hand).id, place)
-    return arm, data
-
-
-def _require_slow(model: mujoco.MjModel, data: mujoco.MjData, timestep: float) -> None:
-    """Refuse an arm that is too fast for the step of the simulation [s]."""
-    pole = fastest_pole(model, data)
-    if pole * timestep > RK4_LIMIT:
-        raise ValueError(
-            f"Laboratory: fastest pole of arm and grip = {pole:.4g} 1/s; expected at most {RK4_LIMIT / timestep:.4g} "
-            f"1/s at timestep = {timestep:g} s (a smaller timestep, or a softer grip)"
-        )
-
-
-def _leaves_plane(model: mujoco.MjModel, data: mujoco.MjData, site: int) -> bool:
-    """Whether joints can move the hand up or down."""
-    jacobian = np.zeros((3, model.nv))
-    mujoco.mj_jacSite(model, data, jacobian, None, site)
-    return bool(np.abs(jacobian[2]).max(initial=0.0) > UPRIGHT)

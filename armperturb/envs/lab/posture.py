@@ -1,12 +1,11 @@
-"""Where an arm is at rest: the posture that is asked for, what holds it, and the force that the handle then bears."""
+"""Where an arm starts: the posture that is asked for, and the activations that hold it."""
 
-import copy
 import fnmatch
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.linalg import null_space
 from scipy.optimize import lsq_linear
 
@@ -28,27 +27,6 @@ SHORT = 1e-4
 SCALAR = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
 """Kinds of joints that have one coordinate."""
 
-AT_REST = 1e-7
-"""Acceleration below which nothing has to settle [rad/s^2, m/s^2]."""
-
-SETTLING = 30.0
-"""Longest simulated time that an arm is given to come to rest [s]."""
-
-PROBE = 1e-5
-"""Displacement [rad, m] and velocity [rad/s, m/s] by which slopes of the acceleration are told."""
-
-IMMOVABLE = 1e9
-"""Mass of a handle that is held [kg]."""
-
-STILL = 1e-9
-"""Displacement in a step below which an arm counts as still [rad, m]."""
-
-STILL_STEPS = 100
-"""Steps in a row for which it has to."""
-
-LEFT = 0.9
-"""Share of its velocity that an arm keeps from one step to the next while it settles [-]."""
-
 IDLE = 1e-9
 """Moment arm at or below which a muscle does not move a joint [m]."""
 
@@ -56,16 +34,18 @@ MUSCLE_WEIGHT = 1e-2
 """Torque [Nm] that counts as much as one muscle's deviation by 1 from the activation that is asked for."""
 
 
-def lock_joints(spec: mujoco.MjSpec, patterns: Sequence[str], posture: Mapping[str, float]) -> mujoco.MjSpec:
+def lock_joints(spec: mujoco.MjSpec, patterns: Sequence[str], posture: Mapping[str, ArrayLike]) -> mujoco.MjSpec:
     """A copy of a model without some of its joints, which stay where they are in a posture.
 
     Args:
       spec: the model.
       patterns: names of joints, with "*" for any text.
-      posture: joint to angle [rad] or displacement [m]; the others are as the model has them.
+      posture: joint to angle [rad] or displacement [m], or to all coordinates of a ball or a free joint; the others
+        are as the model has them.
 
     Raises:
-      ValueError: a pattern matches no joint, or only some of those between two bodies, or one in a frame.
+      ValueError: a pattern matches no joint, only some of those between two bodies, or one over which a fixed tendon
+        goes.
     """
     spec = spec.copy()
     for key in list(spec.keys):  # it would have too many positions
@@ -78,15 +58,25 @@ def lock_joints(spec: mujoco.MjSpec, patterns: Sequence[str], posture: Mapping[s
         matched = fnmatch.filter(names, pattern)
         if not matched:
             raise ValueError(f"lock = {pattern!r}; expected some of the model's joints: {listed(names)}")
-        locked |= {name for name in matched if name}
+        locked |= set(matched)
+    for tendon in spec.tendons:
+        for wrap in tendon.path:
+            if wrap.type == mujoco.mjtWrap.mjWRAP_JOINT and wrap.target.name in locked:
+                raise ValueError(
+                    f"lock: fixed tendon {tendon.name!r} goes over joint {wrap.target.name!r}; expected joints over "
+                    "which only spatial tendons go"
+                )
     for name, value in posture.items():
-        data.qpos[model.joint(name).qposadr[0]] = value
+        data.joint(name).qpos = value
     mujoco.mj_kinematics(model, data)
     for body in {spec.joint(name).parent.id: spec.joint(name).parent for name in sorted(locked)}.values():
         left = [joint.name for joint in body.joints if joint.name not in locked]
-        if left or body.frame is not None:
-            problem = f"would keep {listed(left)}" if left else "stands in a frame"
-            raise ValueError(f"lock: body {body.name!r} {problem}; expected all joints of a body or none of them")
+        if left:
+            raise ValueError(
+                f"lock: body {body.name!r} would keep {listed(left)}; expected all joints of a body or none of them"
+            )
+        if body.frame is not None:  # what follows is in the frame of the parent
+            body.set_frame(body.parent.add_frame())
         parent = model.body_parentid[body.id]
         back, turned, shifted = np.empty(4), np.empty(4), np.empty(3)
         mujoco.mju_negQuat(back, data.xquat[parent])
@@ -129,7 +119,7 @@ def _moments(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
 def take_posture(
     model: mujoco.MjModel,
     data: mujoco.MjData,
-    posture: Mapping[str, float],
+    posture: Mapping[str, ArrayLike],
     held: Collection[str],
     hand: int,
     handle: Array | None,
@@ -139,7 +129,7 @@ def take_posture(
     Args:
       model: of the arm alone.
       data: whose positions change.
-      posture: joint to angle [rad] or displacement [m] where it starts; joints move as little as they must.
+      posture: joint to where it starts, as in `lock_joints`; joints move as little as they must.
       held: joints of the posture that only move for a handle.
       hand: id of its site.
       handle: where the hand has to be [m], (3,); None for wherever the posture puts it.
@@ -148,7 +138,7 @@ def take_posture(
       ValueError: constraints contradict the posture, or the hand cannot reach the handle.
     """
     for name, value in posture.items():
-        data.qpos[model.joint(name).qposadr[0]] = value
+        data.joint(name).qpos = value
     given = np.array([model.joint(name).dofadr[0] for name in held if handle is None], dtype=int)
     free = np.setdiff1d(np.arange(model.nv), given)
     sparse, model.opt.jacobian = model.opt.jacobian, mujoco.mjtJacobian.mjJAC_DENSE
@@ -166,9 +156,10 @@ def take_posture(
                 f"Laboratory: handle = {np.round(handle, 4).tolist()} m; expected a point that the hand can reach "
                 f"(the nearest that it came to is {away:.3g} m away)"
             )
+        shown = {name: np.round(np.asarray(value), 4).tolist() for name, value in posture.items()}
         raise ValueError(
-            f"Laboratory: posture = {dict(posture)!r}; expected one in which the model's equality constraints hold "
-            f"(they are off by {np.abs(error).max():.2g})"
+            f"Laboratory: posture = {shown}; expected one in which the model's equality constraints hold (they are off "
+            f"by {np.abs(error).max():.2g})"
         )
     mujoco.mj_forward(model, data)
 
@@ -278,81 +269,6 @@ def holding_activation(model: mujoco.MjModel, data: mujoco.MjData, level: float)
     activation = np.asarray(solution.x)
     set_activation(model, data, activation)
     return activation
-
-
-@dataclass(frozen=True)
-class Settled:
-    """How an arm came to rest with its hand at the handle, which was held.
-
-    Attributes:
-      force: of the handle on the hand [N], (axis,).
-      time: that it took, simulated [s].
-    """
-
-    force: Array
-    time: float
-
-
-def settle(model: mujoco.MjModel, data: mujoco.MjData, handle: Indices, slides: Indices, gauge: int) -> Settled:
-    """Let the arm find its rest with the handle held at its start; an arm that is at rest stays to the last bit.
-
-    Args:
-      model: of arm and manipulator.
-      data: whose state changes.
-      handle: where its displacement is among the positions.
-      slides: where its velocity is.
-      gauge: first component of the strain gauge among the sensors.
-
-    Raises:
-      ValueError: the arm does not come to rest.
-    """
-    mujoco.mj_forward(model, data)
-    if np.abs(data.qacc).max(initial=0.0) < AT_REST:
-        return Settled(np.zeros(2), 0.0)
-    held = copy.copy(model)
-    held.dof_armature[slides] = IMMOVABLE
-    n_steps = round(SETTLING / model.opt.timestep)
-    step = still = 0
-    while step < n_steps and still < STILL_STEPS:
-        before = data.qpos.copy()
-        mujoco.mj_step(held, data)
-        data.qvel *= LEFT
-        still = still + 1 if np.abs(data.qpos - before).max() < STILL else 0
-        step += 1
-    if still < STILL_STEPS:
-        raise ValueError(
-            f"Laboratory: the arm does not come to rest within {SETTLING:g} s; expected a posture that its springs and "
-            "muscles hold (another posture or activation, or joints that are locked)"
-        )
-    data.qpos[handle] = 0.0
-    rest = data.qpos.copy(), data.act.copy(), data.ctrl.copy()
-    mujoco.mj_resetData(model, data)
-    data.qpos[:], data.act[:], data.ctrl[:] = rest
-    mujoco.mj_forward(model, data)
-    force = data.sensordata[gauge : gauge + 2].copy()
-    return Settled(force, step * model.opt.timestep)
-
-
-def fastest_pole(model: mujoco.MjModel, data: mujoco.MjData) -> float:
-    """Largest modulus of the poles of arm and manipulator at rest, with the muscles' activations constant [1/s]."""
-    probe, nv = mujoco.MjData(model), model.nv
-    rest = data.qpos.copy(), data.act.copy(), data.ctrl.copy()
-
-    def acceleration(turn: Array, velocity: Array) -> Array:
-        probe.qpos[:], probe.act[:], probe.ctrl[:] = rest
-        mujoco.mj_integratePos(model, probe.qpos, turn, 1.0)
-        probe.qvel[:], probe.qacc_warmstart[:] = velocity, 0.0
-        mujoco.mj_forward(model, probe)
-        return np.array(probe.qacc)
-
-    none = np.zeros(nv)
-    slopes = [
-        [(acceleration(*move(way)) - acceleration(*move(-way))) / (2.0 * PROBE) for way in PROBE * np.eye(nv)]
-        for move in (lambda way: (way, none), lambda way: (none, way))
-    ]
-    of_position, of_velocity = (np.transpose(slope) for slope in slopes)
-    matrix = np.block([[np.zeros((nv, nv)), np.eye(nv)], [of_position, of_velocity]])
-    return float(np.abs(np.linalg.eigvals(matrix)).max())
 
 
 def listed(names: Sequence[str], most: int = 12) -> str:

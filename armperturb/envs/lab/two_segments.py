@@ -6,9 +6,13 @@ import mujoco
 import numpy as np
 
 from armperturb.arrays import Array
+from armperturb.validation import RANGES
 
 UPRIGHT = 1e-6
 """Largest horizontal component of the axis of a hinge that is vertical [-]."""
+
+SHORTEST: float = RANGES["Subject"]["l_h"]["at_least"]
+"""Length below which a segment is none [m]."""
 
 EXACT = 12
 """Decimals to which lengths [m] and angles [rad] are read off a model."""
@@ -38,6 +42,20 @@ class Segments:
     signs: tuple[float, ...] = ()
     offsets: tuple[float, ...] = ()
 
+    @property
+    def refused(self) -> str:
+        """Why `identify` and a video refuse such an arm, and what mends it, in a line; empty where they take it."""
+        if np.isnan(self.l_h):
+            return "lengths and angles are unknown, which identify and video need; the option joints names two joints"
+        for field, joint, mend in (
+            ("theta_s_deg", "shoulder", "turn_deg turns the axes from which it is measured"),
+            ("theta_e_deg", "elbow", "posture_deg bends it"),
+        ):
+            low, high = (RANGES["Subject"][field][end] for end in ("at_least", "at_most"))
+            if not low <= getattr(self, field) <= high:
+                return f"identify and video expect the {joint} at {low:g} to {high:g} deg; the option {mend}"
+        return ""
+
 
 def moving_joints(model: mujoco.MjModel, body: int) -> list[int]:
     """Ids of the joints between the world and a body."""
@@ -60,7 +78,11 @@ def segments_of(
       hand: id of the site in the middle of the grip.
       turn: of the handle's x axis about the vertical [rad].
       named: joints whose places count as shoulder and elbow; None takes the only two that move the hand, if these are
-        hinges about the vertical.
+        hinges about the vertical, and segments are no points.
+
+    Raises:
+      ValueError: a named joint does not move the hand, the elbow is not between shoulder and hand, or a segment is a
+        point.
     """
     joints = moving_joints(model, int(model.site_bodyid[hand]))
     planar = len(joints) == 2 and all(
@@ -69,12 +91,25 @@ def segments_of(
     if named is None and not planar:
         return Segments()
     ends = joints if named is None else [model.joint(name).id for name in named]
+    if not (set(ends) <= set(joints) and joints.index(ends[0]) < joints.index(ends[1])):
+        moving = ", ".join(model.joint(j).name for j in joints)
+        raise ValueError(
+            f"Laboratory: joints = {named!r}; expected shoulder and elbow, two of the joints that move the hand, in "
+            f"the order in which they stand between trunk and hand: {moving}"
+        )
     upper, lower = np.diff([*data.xanchor[ends, :2], data.site_xpos[hand, :2]], axis=0)
     first, second = (np.arctan2(along[1], along[0]) for along in (upper, lower))
     angle = _wrapped(np.array([first - turn, second - first]))
     is_left = bool(angle[1] < 0.0)
     angle = np.round(_wrapped(np.array([np.pi, 0.0]) - angle) if is_left else angle, EXACT)
     length = np.round(np.hypot(*np.array([upper, lower]).T), EXACT)
+    if length.min() < SHORTEST:
+        if named is None:
+            return Segments()
+        raise ValueError(
+            f"Laboratory: joints = {named!r}; expected segments of at least {SHORTEST:g} m in the plane, and not of "
+            f"{length[0]:.3g} and {length[1]:.3g} m (other joints, or another hand_site)"
+        )
     segments = Segments(
         is_left=is_left,
         l_h=float(length[0]),

@@ -1,6 +1,7 @@
 """The laboratory around arms that others have modelled."""
 
 import importlib.util
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -194,8 +195,12 @@ def test_reflexes_oppose_a_stretch_after_their_delay(files):
     assert np.abs(reflexive["displacement"].values[0, late]).max() < np.abs(plain["displacement"].values[0, late]).max()
 
 
-def test_a_locked_joint_stays_where_the_posture_has_it():
-    spec = mujoco.MjSpec.from_string(MUSCLE_ARM)
+@pytest.mark.parametrize("frame", ["", '<frame pos="0.01 0 0" euler="0 5 20">'])
+def test_a_locked_joint_stays_where_the_posture_has_it(frame):
+    body, end = '<body name="hand"', '<site name="palm" pos="0.05 0 0"/>\n        </body>'
+    assert end in MUSCLE_ARM
+    in_frame = MUSCLE_ARM.replace(body, frame + body).replace(end, end + "</frame>" * bool(frame))
+    spec = mujoco.MjSpec.from_string(in_frame)
     posture = {"q1": 0.2, "wrist": -0.7}
     model = spec.compile()
     data = mujoco.MjData(model)
@@ -300,6 +305,11 @@ def test_a_handle_that_only_other_ranges_reach_is_refused(shoulder, elbow):
         ({"posture_deg": {"knee": 3.0}}, r"posture_deg = 'knee'; expected a joint of the model \(q1, q2\)"),
         ({"locked": ["w*"]}, r"lock = 'w\*'; expected some of the model's joints: q1, q2"),
         ({"joints": ("q1", "q9")}, "joints = 'q9'; expected a joint"),
+        ({"joints": ("q2", "q1")}, r"joints = \('q2', 'q1'\); expected shoulder and elbow, .* trunk and hand: q1, q2"),
+        ({"joints": ("q2", "q2")}, r"joints = \('q2', 'q2'\); expected shoulder and elbow"),
+        ({"joints": ("q1",)}, r"joints = \('q1',\); expected two names"),
+        ({"joints": ("q1", "q2"), "hand_site": "fore"}, "expected segments of at least 0.01 m .* of 0.31 and 0 m"),
+        ({"locked": ["q1"]}, "lock: fixed tendon 's' goes over joint 'q1'; expected joints"),
         ({"keyframe": "home"}, "keyframe = 'home'; expected one of the model"),
         ({"k_h": 0.0}, "k_h = 0.0; expected a finite number above 0"),
     ],
@@ -308,6 +318,25 @@ def test_what_cannot_be_is_refused_in_a_line(files, settings, message):
     with pytest.raises(ValueError, match=message) as refusal:
         ap.Laboratory(files / "two_link.xml", **{"hand_site": "palm"} | settings)
     assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("field", ["joints", "locked"])
+def test_a_name_in_the_place_of_names_is_refused(files, field):
+    with pytest.raises(TypeError, match=rf"{field} = 'q1'; expected several names, e\.g\. \('q1',\)"):
+        ap.Laboratory(files / "two_link.xml", "palm", **{field: "q1"})
+
+
+@pytest.mark.parametrize(
+    ("settings", "line"),
+    [
+        ({}, "arm: 0.31 and 0.34 m, shoulder at 40 and elbow at 85 deg"),
+        ({"turn_deg": 180.0}, "the shoulder at -90 to 180 deg; the option turn_deg"),
+        ({"hand_site": "fore"}, "lengths and angles are unknown, .* the option joints"),
+    ],
+)
+def test_the_summary_says_what_no_analysis_takes(files, settings, line):
+    summary = ap.Laboratory(files / "two_link.xml", **{"hand_site": "palm"} | settings).rest.summary()
+    assert re.search(line, summary.splitlines()[-1])
 
 
 def test_files_that_are_no_models_are_refused_in_a_line(tmp_path):
