@@ -5,6 +5,7 @@ import errno
 import json
 import os
 import re
+import shlex
 import subprocess
 import sys
 import warnings
@@ -64,6 +65,12 @@ def test_a_warning_is_one_line_without_a_place_in_the_code(tmp_path, capsys, mon
         warnings.simplefilter("always")
         assert run("sidecar", RECORDING.with_name("position.csv"), "--out", tmp_path / "s.json") == 0
     assert capsys.readouterr().err == "armperturb: warning: two lines \\x1b[2J\n"
+
+
+def test_a_sidecar_is_advised_as_a_shell_takes_it(tmp_path, capsys):
+    assert run("sidecar", RECORDING.with_name("position.csv"), "--out", tmp_path / "two words.json") == 0
+    typed = capsys.readouterr().out.partition("for other files with these channels: ")[2].splitlines()[0]
+    assert shlex.split(typed) == ["--sidecar", str(tmp_path / "two words.json")]
 
 
 @pytest.mark.slow(reason="simulates a trial of 30 s and fits it")
