@@ -15,14 +15,14 @@ from typing import Any, NamedTuple, Self, TypeAlias
 import numpy as np
 import xarray as xr
 
-from armperturb.analysis.cuts import ARM_LABELS, limit_samples, of_condition, one_condition, onset_samples
+from armperturb.analysis.cuts import limit_samples, of_condition, one_condition, onset_samples
 from armperturb.analysis.defaults import SETTLED
 from armperturb.analysis.force_balance import EDGE, Balance, NoiseLevels, Skew
 from armperturb.analysis.numerics.periodicity import find_period, samples_of_period
 from armperturb.analysis.start import start_at_rest
 from armperturb.arrays import Array, Indices
 from armperturb.environment import Environment
-from armperturb.recording import EXPECTED, TRIAL_COORDINATES, check_recording
+from armperturb.recording import ARM_LABELS, EXPECTED, TRIAL_COORDINATES, check_recording
 from armperturb.subject import POSITION, RELAX, TASKS, Subject
 from armperturb.validation import as_list, require_number, require_one_of
 
