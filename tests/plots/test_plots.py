@@ -11,7 +11,7 @@ from armperturb.analysis.nonlinear.prediction import PulsePrediction
 from armperturb.analysis.results import PARAMETER_COLUMNS
 from armperturb.plots.parameters import plot_parameters
 from armperturb.plots.scores import FARTHEST, plot_scores
-from armperturb.plots.style import new_figure
+from armperturb.plots.style import colours_for, new_figure
 
 matplotlib.use("agg")
 
@@ -44,6 +44,11 @@ def test_single_trials_and_conditions(noisy_relax_recording):
         armperturb.plot(without, trial=6)
     with pytest.raises(ValueError, match="trial = -1; expected 0 to 5"):
         armperturb.plot(without, trial=-1)
+
+
+@pytest.mark.parametrize("n", [1, 6, 7, 24])
+def test_no_two_conditions_of_a_figure_have_a_colour(n):
+    assert len(set(colours_for(n))) == n
 
 
 def test_figures_of_pyplot_are_made_where_none_is_given(relax_recording):
