@@ -305,6 +305,12 @@ def named(recordings: xr.Dataset | Sequence[xr.Dataset]) -> str:
     return f"{who}, {where}, {n} trial{'' if n == 1 else 's'}"
 
 
+def labels_of(recording: xr.Dataset) -> dict[str, str]:
+    """Condition and subject of trials that have the same, and of one axis the joint; "" where it is not known."""
+    joint = {"joint": str(recording.attrs.get("joint", ""))} if is_one_axis(recording) else {}
+    return {name: str(recording[name].values[0]) for name in ("condition", "subject")} | joint
+
+
 def muscle_actions(recording: xr.Dataset) -> dict[str, Action]:
     """Name of each muscle of the EMG to what it does, in the order of the columns."""
     names = list(map(str, recording["muscle"].values))

@@ -83,6 +83,7 @@ def test_simulate_then_identify(inputs, capsys):
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == [
         "frequency_hz", "output", "input", "real", "imag", "gain_m_per_N", "phase_deg", "coherence", "condition",
+        "subject",
     ]  # fmt: skip
     assert len(rows) == 18 * 4
     for row in rows:
@@ -93,7 +94,7 @@ def test_simulate_then_identify(inputs, capsys):
     with (inputs / "results" / "parameters.csv").open() as file:
         parameters = {row["parameter"]: row for row in csv.DictReader(file)}
     assert list(parameters["m_tot"]) == [
-        "parameter", "value", "standard_error", "lower_95", "upper_95", "unit", "at_bound", "condition",
+        "parameter", "value", "standard_error", "lower_95", "upper_95", "unit", "at_bound", "condition", "subject",
     ]  # fmt: skip
     assert float(parameters["m_tot"]["value"]) == pytest.approx(3.38, rel=0.01)
     for row in parameters.values():

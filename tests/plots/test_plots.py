@@ -66,8 +66,8 @@ def test_what_cannot_be_drawn_is_refused(relax_recording):
 
 def test_parameters_of_several_fits_stand_side_by_side():
     rows = [
-        ("k_s", 100.0, 5.0, 90.0, 110.0, "Nm/rad", False, ""),
-        ("Td_s", 0.03, np.inf, -np.inf, np.inf, "s", True, ""),
+        ("k_s", 100.0, 5.0, 90.0, 110.0, "Nm/rad", False, "", "A"),
+        ("Td_s", 0.03, np.inf, -np.inf, np.inf, "s", True, "", "A"),
     ]
     frame = pd.DataFrame(rows, columns=PARAMETER_COLUMNS)
     axes = plot_parameters({"first": frame, "second": frame}, new_figure(1.0))

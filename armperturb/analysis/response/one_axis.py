@@ -41,7 +41,7 @@ from armperturb.analysis.response.local_polynomial import (
 from armperturb.analysis.results import Description, Table, plain
 from armperturb.analysis.trials import SeveralTrials, TrialRecord, prepared_recordings
 from armperturb.arrays import Array, ComplexArray
-from armperturb.recording import named
+from armperturb.recording import labels_of, named
 from armperturb.validation import require_number
 
 if TYPE_CHECKING:
@@ -126,6 +126,7 @@ class AxisResponse(FrequencyResponse):
                 "distortion": self.distortion,
                 "distortion_limit": self.distortion_limit,
                 "unit": self.units,
+                **self.labels,
             }
         )
 
@@ -230,6 +231,7 @@ def one_axis_response(
         what=what,
         dof=np.array([fit.dof for fit in fits]),
         label=named(inside),
+        labels=labels_of(inside[0]),
         kind="impedance" if imposed else "admittance",
         units=f"{torque}/{angle}" if imposed else f"{angle}/{torque}",
         coherence=explained / (explained + noise[:, -1, -1].real),
