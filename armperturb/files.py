@@ -133,6 +133,26 @@ def require_new_results(folder: Path, names: Iterable[str], *, overwrite: bool) 
         raise ValueError(f"{earlier[0]}: exists already; expected a folder without results (--overwrite replaces them)")
 
 
+@contextmanager
+def earlier_removed(paths: Iterable[Path]) -> Iterator[None]:
+    """Within the block, results of an earlier run are replaced; those that were not are removed when it ends well.
+
+    Args:
+      paths: of what the earlier run may have written, and no input.
+    """
+    before = {path: _version(path) for path in paths if os.path.lexists(path)}
+    yield
+    for path, version in before.items():
+        if os.path.lexists(path) and _version(path) == version:
+            path.unlink()
+
+
+def _version(path: Path) -> tuple[int, int]:
+    """What changes when a file is written anew."""
+    status = path.lstat()
+    return status.st_ino, status.st_mtime_ns
+
+
 def require_no_folder(path: Path) -> None:
     """Refuse a file to write that is a folder.
 

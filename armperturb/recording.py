@@ -105,6 +105,9 @@ CLOCKS = {"time": "rate", "emg_time": "emg_rate"}
 TRIAL_COORDINATES: Mapping[str, tuple[str, str]] = {name: tuple(row) for name, row in _TABLES["coordinates"].items()}
 """Coordinate along `trial` to unit and description."""
 
+ARM_LABELS = ("l_h", "l_f", "theta_s_deg", "theta_e_deg")
+"""Coordinates that only models of the arm need; NaN where they are unknown."""
+
 OPTIONAL_COORDINATES = ("order",)
 """Those of `TRIAL_COORDINATES` that a recording may lack."""
 
@@ -142,14 +145,14 @@ def make_recording(
     muscles: Mapping[str, Action] | None = None,
     servo: str | None = None,
     joint: str | None = None,
-    angular: bool = False,
+    angular: bool | None = None,
     **attributes: Any,
 ) -> xr.Dataset:
     """A checked recording.
 
     Args:
       signals: variable name to values, (trial, time, axis), (trial, time, joint) or (trial, emg_time, muscle).
-      trials: coordinate name to one value per trial.
+      trials: coordinate name to one value per trial. Of one axis, those of the arm (`ARM_LABELS`) may be absent.
       rate: sampling rate [Hz].
       emg_rate: sampling rate of the EMG [Hz], if there is any.
       adc_step: voltage of which the EMG holds whole numbers [V]; None if it holds any number.
@@ -158,7 +161,7 @@ def make_recording(
       muscles: names of the EMG's columns, and what each does; those of `ACTIONS` if None.
       servo: what the device of a recording of one axis does, of `SERVOS`; None with two axes.
       joint: which joint a recording of one axis is of, e.g. "ankle"; None if unknown.
-      angular: whether a recording of one axis holds torques and angles.
+      angular: whether a recording of one axis holds torques and angles; None if it does where a joint is named.
       **attributes: further attributes of the dataset.
 
     Raises:
@@ -168,6 +171,7 @@ def make_recording(
     for what, given in (("signals", signals), ("trials", trials)):
         require_type(f"recording: {what}", given, Mapping, "names with their values, as a dictionary")
     variables = {}
+    angular = joint is not None if angular is None else angular
     for name, values in signals.items():
         dims, _, description = SIGNALS[name]
         units = signal_unit(name, angular=angular)
@@ -199,7 +203,8 @@ def make_recording(
         if any(action != ACTIONS.get(name) for name, action in actions.items()):
             coords["muscle_joints"] = "muscle", [action.joints for action in actions.values()]
             coords["muscle_sign"] = "muscle", [action.sign for action in actions.values()]
-    for name, values in trials.items():
+    absent = [name for name in ARM_LABELS if name not in trials] if sizes.get("axis") == 1 else []
+    for name, values in {**trials, **dict.fromkeys(absent, np.full(sizes["trial"], np.nan))}.items():
         coords[name] = "trial", np.asarray(values), _describe(*TRIAL_COORDINATES[name])
     clocks = {CLOCKS[dim]: float(clock) for dim, clock in rates.items()}
     device = {name: value for name, value in (("servo", servo), ("joint", joint)) if value is not None}
@@ -298,6 +303,12 @@ def named(recordings: xr.Dataset | Sequence[xr.Dataset]) -> str:
     )
     n = sum(part.sizes["trial"] for part in parts)
     return f"{who}, {where}, {n} trial{'' if n == 1 else 's'}"
+
+
+def labels_of(recording: xr.Dataset) -> dict[str, str]:
+    """Condition and subject of trials that have the same, and of one axis the joint; "" where it is not known."""
+    joint = {"joint": str(recording.attrs.get("joint", ""))} if is_one_axis(recording) else {}
+    return {name: str(recording[name].values[0]) for name in ("condition", "subject")} | joint
 
 
 def muscle_actions(recording: xr.Dataset) -> dict[str, Action]:

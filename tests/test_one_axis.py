@@ -7,7 +7,7 @@ import pytest
 
 from armperturb.convert.exporter import export_recording
 from armperturb.convert.importer import import_recording
-from armperturb.recording import check_recording, is_one_axis, make_recording
+from armperturb.recording import ARM_LABELS, check_recording, is_one_axis, make_recording
 from armperturb.recording_files import save_recording
 
 RATE = 200.0
@@ -174,6 +174,19 @@ def test_two_axes_have_no_servo():
     )
     with pytest.raises(ValueError, match="servo = 'position' with two axes"):
         check_recording(recording.assign_attrs(servo="position"))
+
+
+@pytest.mark.parametrize(
+    ("said", "unit"),
+    [({}, "m"), ({"joint": "ankle"}, "rad"), ({"joint": "ankle", "angular": False}, "m"), ({"angular": True}, "rad")],
+)
+def test_arrays_of_one_axis_need_no_arm_and_of_a_joint_are_angles(said, unit):
+    angle, torque = (signal[None, :, None] for signal in ankle())
+    labels = {"subject": ["A"], "task": ["PT"], "condition": ["PT"], "repetition": [0], "pulse_level": [0.0]}
+    labels |= {name: [np.nan] for name in ("pulse_direction", "pulse_onset", "limit_time")}
+    recording = make_recording({"force": torque, "displacement": angle}, labels, RATE, servo="position", **said)
+    assert recording["displacement"].attrs["units"] == unit
+    assert np.isnan([recording[name].item() for name in ARM_LABELS]).all()
 
 
 def test_archives_with_objects_or_false_sizes_are_refused(tmp_path):

@@ -8,10 +8,7 @@ import numpy as np
 import xarray as xr
 
 from armperturb.arrays import Array, Indices
-from armperturb.recording import is_one_axis
-
-ARM_LABELS = ("l_h", "l_f", "theta_s_deg", "theta_e_deg")
-"""Coordinates that only models of the arm need; NaN where they are unknown."""
+from armperturb.recording import ARM_LABELS, is_one_axis
 
 CHOSEN_BY = {"subject": "--subject", "task": "--condition", "condition": "--condition"}
 """Coordinate to the option that picks the trials of one of its values."""

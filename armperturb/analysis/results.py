@@ -32,8 +32,9 @@ LINES, WIDTH = 25, 110
 
 PARAMETER_COLUMNS = (
     "parameter", "value", "standard_error", "lower_95", "upper_95", "unit", "at_bound", "condition",
+    "subject",
 )  # fmt: skip
-"""Columns of every table of estimated parameters."""
+"""Columns of every table of estimated parameters; that of a single joint has `joint` after them."""
 
 
 class Interval(NamedTuple):
@@ -166,6 +167,11 @@ class FitResult(Result):
         """Name of a parameter in tables, and the condition in which it holds; "" where it is not known."""
         return name, ""
 
+    @property
+    def labels(self) -> Mapping[str, str]:
+        """Last columns of `to_frame`: the subject, "" where it is not known, and further names that there are."""
+        return {"subject": ""}
+
     def to_frame(self) -> pd.DataFrame:
         """One row per free parameter, with its 95 % confidence interval; the columns are `PARAMETER_COLUMNS`."""
         rows = []
@@ -175,7 +181,7 @@ class FitResult(Result):
             rows.append(
                 (parameter, value, self.standard_error[name], *limits, self.unit_of(name), is_at_bound, condition)
             )
-        return pd.DataFrame(rows, columns=list(PARAMETER_COLUMNS))
+        return pd.DataFrame(rows, columns=list(PARAMETER_COLUMNS[:-1])).assign(**self.labels)
 
     def correlation_frame(self) -> pd.DataFrame:
         """Correlation of the estimates' errors, one row and one column per parameter."""

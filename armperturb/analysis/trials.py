@@ -15,14 +15,14 @@ from typing import Any, NamedTuple, Self, TypeAlias
 import numpy as np
 import xarray as xr
 
-from armperturb.analysis.cuts import ARM_LABELS, limit_samples, of_condition, one_condition, onset_samples
+from armperturb.analysis.cuts import limit_samples, of_condition, one_condition, onset_samples
 from armperturb.analysis.defaults import SETTLED
 from armperturb.analysis.force_balance import EDGE, Balance, NoiseLevels, Skew
 from armperturb.analysis.numerics.periodicity import find_period, samples_of_period
 from armperturb.analysis.start import start_at_rest
 from armperturb.arrays import Array, Indices
 from armperturb.environment import Environment
-from armperturb.recording import EXPECTED, TRIAL_COORDINATES, check_recording
+from armperturb.recording import ARM_LABELS, EXPECTED, TRIAL_COORDINATES, check_recording
 from armperturb.subject import POSITION, RELAX, TASKS, Subject
 from armperturb.validation import as_list, require_number, require_one_of
 
@@ -31,6 +31,9 @@ APERIODIC = 1e-2
 
 NEGLIGIBLE = 1e-9
 """Disturbances below this count as zero [N]."""
+
+OTHERS = "in Python, recording.isel(trial=[...]) takes the other trials"
+"""How a trial is left out, for messages."""
 
 ALIKE = 0.9
 """Correlation from which on two perturbations are the same one [-]."""
@@ -268,7 +271,7 @@ class ConditionTrials:
         if len(hit):
             raise ValueError(
                 f"trial {hit[0]} reached the workspace limit at {self.limit[hit[0]] / self.rate:.3f} s; expected "
-                "trials that stay inside (leave this one out)"
+                f"trials that stay inside ({OTHERS})"
             )
 
     def is_perturbed(self, window_start: float) -> bool:
@@ -294,14 +297,14 @@ class ConditionTrials:
             if end - first < 2:
                 raise ValueError(
                     f"trial {trial} ends at {end / self.rate:g} s; expected more than {window_start:g} s (an earlier "
-                    "--window-start, or leave this trial out)"
+                    f"--window-start; {OTHERS})"
                 )
             d, f, x = (values[trial, first:end] for values in self.signals)
             for name, values in (("perturbation", d), ("force", f)):
                 if not np.ptp(values, axis=0).any():
                     raise ValueError(
                         f"{name} of trial {trial} is constant from {window_start:g} s on; expected a perturbed trial "
-                        "(an earlier --window-start, or leave this trial out)"
+                        f"(an earlier --window-start; {OTHERS})"
                     )
             records.append(TrialRecord(d, np.concatenate([f, x], axis=1), self.rate))
         return records

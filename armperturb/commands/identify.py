@@ -1,5 +1,6 @@
 """`armperturb identify`."""
 
+import json
 import sys
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -8,7 +9,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START, Estimator
 from armperturb.commands.command import Command, Positional, command_line
 from armperturb.extras import MissingExtraError, naming_the_extra
-from armperturb.files import endings_of, require_new_results
+from armperturb.files import earlier_removed, endings_of, require_new_results
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -117,7 +118,8 @@ class Identify(Command):
     """Adjacent excited lines that are averaged in admittance.csv and by the thesis's estimator; 1 keeps every line and
     needs several trials."""
     overwrite: bool = False
-    """Replace results of an earlier run in the folder; an input is never replaced."""
+    """Replace results of an earlier run in the folder, and remove those that this one does not have; an input is never
+    replaced."""
 
     @property
     def resumes(self) -> bool:
@@ -153,17 +155,32 @@ class Identify(Command):
         if self.resumes and self.out.exists() and not self.out.is_dir():
             raise ValueError(f"{self.out} is a file; expected a folder, or a new name for one")
         try:
-            if kind == "joint":
-                notes += [NO_EMG] * self.emg
-                lines = self._identify_joint(recordings, notes)
-            elif kind == "nonlinear":
-                lines = self._identify_nonlinear(recordings, notes)
-            else:
-                MemoryPerSample(longest=2000, all=300).require(recordings)
-                lines = self._identify(recordings, structure, notes)
+            with earlier_removed(self._earlier_results()):
+                if kind == "joint":
+                    notes += [NO_EMG] * self.emg
+                    lines = self._identify_joint(recordings, notes)
+                elif kind == "nonlinear":
+                    lines = self._identify_nonlinear(recordings, notes)
+                else:
+                    MemoryPerSample(longest=2000, all=300).require(recordings)
+                    lines = self._identify(recordings, structure, notes)
         except ValueError as error:
             raise ValueError(f"{', '.join(map(str, self.recordings))}: {error}") from None
         return [*notes, *lines, f"results: {self.out}"]
+
+    def _earlier_results(self) -> list[Path]:
+        """Files that an earlier run has written to the folder, as its fit.json shows; none where there is no such."""
+        summary = self.out / "fit.json"
+        try:
+            content = json.loads(summary.read_text(encoding="utf-8")) if summary.is_file() else None
+        except ValueError:
+            content = None
+        if not isinstance(content, dict):
+            return []
+        # Of several conditions it has an object each. What else * stands for may be a person of the user's.
+        conditions = [] if isinstance(content.get("model"), str) else endings_of(content).values()
+        texts = {name: conditions if "*" in name else [""] for name in RESULTS}
+        return [self.out / name.replace("*", text) for name, each in texts.items() for text in each]
 
     def _require_options(self, models: tuple[str, ...]) -> None:
         """Refuse options of models other than these."""

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from armperturb.analysis.defaults import SETTLED
 from armperturb.commands.command import Command, Positional
-from armperturb.files import require_new_results, write_csv
+from armperturb.files import earlier_removed, require_new_results, write_csv
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -87,7 +87,7 @@ class Response(Command):
                 lines.append(distortion.describe().facts[0])
             except ValueError as error:
                 lines.append(f"nonlinear distortion: not estimated ({error})")
-        self._write({"response": estimate, "distortion": distortion}, trials[0].label)
+        self._write({"response": estimate, "distortion": distortion})
         return [*lines, f"results: {self.out}"]
 
     def _of_one_axis(self, recordings: "list[xr.Dataset]") -> list[str]:
@@ -99,23 +99,20 @@ class Response(Command):
             estimate = response(recordings, self.method, what=self.what, window_start=self.window_start or 0.0)
         except ValueError as error:
             raise ValueError(f"{', '.join(map(str, self.recordings))}: {error}") from None
-        self._write({"response": estimate, "distortion": None}, str(recordings[0]["condition"].values[0]))
+        self._write({"response": estimate, "distortion": None})
         said = estimate.describe()
         return [said.title, *said.facts, *said.remarks]
 
-    def _write(self, results: "dict[str, FrequencyResponse | BestLinear | None]", condition: str) -> None:
-        """Write tables and figures; an earlier run may have left what there is no result of."""
+    def _write(self, results: "dict[str, FrequencyResponse | BestLinear | None]") -> None:
+        """Write tables and figures; what an earlier run has left is removed where there is no result of it."""
         from armperturb.plots.style import save_plot
 
         self.out.mkdir(parents=True, exist_ok=True)
-        for name, result in results.items():
-            table, figure = self.out / f"{name}.csv", self.out / f"{name}.svg"
-            if result is None:
-                table.unlink(missing_ok=True)
-                figure.unlink(missing_ok=True)
-            else:
-                write_csv(result.to_frame().assign(condition=condition), table)
-                save_plot(result, figure)
+        with earlier_removed(self.out / name for name in RESULTS):
+            for name, result in results.items():
+                if result is not None:
+                    write_csv(result.to_frame(), self.out / f"{name}.csv")
+                    save_plot(result, self.out / f"{name}.svg")
 
 
 def _manipulator(trials: "ConditionTrials", *, was_used: bool) -> str:

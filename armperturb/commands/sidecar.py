@@ -1,5 +1,6 @@
 """`armperturb sidecar`."""
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,4 +23,4 @@ class Sidecar(Command):
         from armperturb.convert.template import write_sidecar
 
         path, notes = write_sidecar(self.file, self.out, rate=self.rate)
-        return [*notes, f"for other files with these channels: --sidecar {path}", f"sidecar: {path}"]
+        return [*notes, f"for other files with these channels: --sidecar {shlex.quote(str(path))}", f"sidecar: {path}"]

@@ -10,14 +10,13 @@ import numpy as np
 import xarray as xr
 from scipy import signal
 
-from armperturb.analysis.cuts import ARM_LABELS
 from armperturb.arrays import Array
 from armperturb.convert.checks import require_signal
 from armperturb.convert.faults import LARGEST_RATIO, Fault, Timed, even_times, other_rate
 from armperturb.convert.raw import RawTrial
 from armperturb.convert.sidecar import FIRST, Sidecar, Signal
 from armperturb.convert.tables import Repair
-from armperturb.recording import SIGNALS, TRIAL_COORDINATES, make_recording
+from armperturb.recording import ARM_LABELS, SIGNALS, TRIAL_COORDINATES, make_recording
 
 MOST_TIMES = 50
 """Most samples in the place of one."""

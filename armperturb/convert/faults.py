@@ -9,12 +9,13 @@
 | `lengths` | trials, or signals of one (by up to a tenth), that do not last equally long | by a cut to the shortest |
 | `trials` | any fault that is not repaired otherwise | by leaving out the trial |
 
-Channels that are stuck, clipped or hold their last value can only be left out with their trial. Times that step back
+Channels that are stuck, clipped or hold their last value can only be left out with their trial, and so can a trial that
+broke off: all others would be cut to the little that there is of it. Times that step back
 are always refused.
 """
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -51,6 +52,10 @@ OFF = 0.1
 
 LARGEST_RATIO = 1.1
 """Largest ratio of the lengths of signals that are cut to the shortest [-]; beyond, their rates differ."""
+
+
+BROKEN_OFF = 0.5
+"""Duration of a trial over the median of all below which the others are not cut to it [-]."""
 
 
 class Fault(NamedTuple):
@@ -357,6 +362,34 @@ def equal_lengths(timed: Timed, names: Collection[str]) -> tuple[Timed, list[Fau
     cut = {name: timed.signals[name][: round(end * timed.rates[name])] for name in names}
     fault = Fault("lengths", text + why, not rates_differ)
     return replace(timed, signals={**timed.signals, **cut}), [fault]
+
+
+def lasting(trials: Sequence[Timed], repair: Collection[Repair], notes: list[str]) -> list[int]:
+    """Numbers of the trials that did not break off long before the others ended.
+
+    Args:
+      trials: at least one.
+      repair: "trials" leaves out those that broke off.
+      notes: to which each that is left out is added.
+
+    Raises:
+      ValueError: a trial broke off and is not to be left out.
+    """
+    durations = [min(len(trial.signals[name]) / trial.rates[name] for name in trial.signals) for trial in trials]
+    usual = float(np.median(durations))
+    left = []
+    for number, (trial, duration) in enumerate(zip(trials, durations, strict=True)):
+        if duration >= BROKEN_OFF * usual:
+            left.append(number)
+            continue
+        text = f"it lasts {duration:.6g} s, and half of the trials {usual:.6g} s or longer"
+        if "trials" not in repair:
+            raise ValueError(
+                f"{trial.where}: {text}; expected trials of about one length (convert --repair trials leaves it out; "
+                "trials that are meant to be shorter go into a recording of their own)"
+            )
+        notes.append(f"{trial.where} is left out: {text}")
+    return left
 
 
 def other_rate(few: str, many: str, ratio: float) -> str:

@@ -24,6 +24,7 @@ from armperturb.convert.faults import (
     equal_lengths,
     find_gaps,
     find_stuck,
+    lasting,
     longest_stretch,
     without_padding,
 )
@@ -181,6 +182,8 @@ def import_trials(
     named = ", ".join(map(str, paths))
     if not trials:
         raise ValueError(f"{named}: all trials are left out; expected one without faults ({notes[0]})")
+    left = lasting(trials, repair, notes)
+    trials, of_files = [trials[number] for number in left], [of_files[number] for number in left]
     if len(joints) > 1:
         several = " and ".join(map(str, sorted(joints, key=str)))
         raise ValueError(f"{named}: labels.joint = {several}; expected trials of one joint")

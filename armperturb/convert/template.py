@@ -12,7 +12,6 @@ from typing import Any, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from armperturb.analysis.cuts import ARM_LABELS
 from armperturb.analysis.force_balance import Balance
 from armperturb.convert.checks import AWAY, LARGEST_FORCE
 from armperturb.convert.columns import WORD, Column, axis_of, columns_of, dialect_of
@@ -26,7 +25,7 @@ from armperturb.convert.tables import TABLES, Repair
 from armperturb.convert.units import UNITS
 from armperturb.environment import Environment
 from armperturb.files import write_whole
-from armperturb.recording import REQUIRED_SIGNALS, SIGNALS, TEXT_COORDINATES, TRIAL_COORDINATES
+from armperturb.recording import ARM_LABELS, REQUIRED_SIGNALS, SIGNALS, TEXT_COORDINATES, TRIAL_COORDINATES
 from armperturb.subject import POSITION
 from armperturb.validation import require_number, require_one_of
 

@@ -1,5 +1,6 @@
 """Figure of an arm seen from above, with ellipses at its hand."""
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -19,6 +20,9 @@ DIRECTIONS = np.linspace(0.0, 2.0 * np.pi, 361)
 
 PANELS = {"stiffness": ("stiffness", "static stiffness"), "damping": ("damping",), "inertia": ("inertia",)}
 """Title of a panel to the quantities whose ellipses it shows."""
+
+LEGEND_COLUMNS, LEGEND_ROW = 4, 0.2
+"""Columns of the legend, and height of a row of it [inch]; panels of equal axes do not shrink to make room."""
 
 DASHED = (0, (4, 2))
 
@@ -50,7 +54,9 @@ def plot_ellipses(postures: Mapping[str, Posture], units: Mapping[str, str], fig
     Returns:
       Axes, (panel,), in the order of `PANELS`.
     """
-    figure = figure_for(figure, 3.3)
+    has_static = any("static stiffness" in each.outlines for each in postures.values())
+    legend_rows = math.ceil((len(postures) + has_static + 1) / LEGEND_COLUMNS)
+    figure = figure_for(figure, 3.3 + LEGEND_ROW * (legend_rows - 1))
     axes = figure.subplots(1, len(PANELS), sharex=True, sharey=True)
     colours = dict(zip(postures, colours_for(len(postures)), strict=True))
     unit_vectors = np.column_stack([np.cos(DIRECTIONS), np.sin(DIRECTIONS)])
@@ -91,8 +97,8 @@ def plot_ellipses(postures: Mapping[str, Posture], units: Mapping[str, str], fig
         ax.plot(ends, (at, at), color=INK, linewidth=2.0, solid_capstyle="butt")
         ax.text(ends[1], at + 0.3 * margin, f"{size:g} {units[quantities[0]]}", ha="right", va="bottom")
     handles: list[Line2D | Patch] = [Line2D([], [], color=colour, label=label) for label, colour in colours.items()]
-    if any("static stiffness" in each.outlines for each in postures.values()):
+    if has_static:
         colour = INK if len(postures) == 1 else GREY
         handles += [Line2D([], [], color=colour, linestyle=DASHED, label="with reflexes, static")]
-    legend(figure, *handles, Patch(facecolor=GREY, alpha=0.4, label="95 %"), n_columns=4)
+    legend(figure, *handles, Patch(facecolor=GREY, alpha=0.4, label="95 %"), n_columns=LEGEND_COLUMNS)
     return axes

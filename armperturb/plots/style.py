@@ -11,6 +11,7 @@ from typing import Any
 
 import matplotlib.style
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 
@@ -82,8 +83,11 @@ def shades(colour: str, n: int) -> list[str]:
 
 
 def colours_for(n: int) -> list[str]:
-    """Colours of n things in one figure: ink for a single one, else `PALETTE` over and over."""
-    return [INK] if n == 1 else [PALETTE[i % len(PALETTE)] for i in range(n)]
+    """Colours of n things in one figure, no two alike: ink for a single one, else `PALETTE`, or a longer scale."""
+    if n > len(PALETTE):
+        # Of Matplotlib's colour maps the one in which so many lie farthest apart.
+        return [to_hex(colour) for colour in colormaps["turbo"](np.linspace(0.02, 0.98, n))]
+    return [INK] if n == 1 else list(PALETTE[:n])
 
 
 def round_number_below(value: float) -> float:

@@ -1,5 +1,6 @@
 """Results that describe themselves: text of few lines, HTML, tables of one schema, and axes that hold the data."""
 
+import json
 from dataclasses import dataclass
 from types import SimpleNamespace
 
@@ -105,8 +106,8 @@ def test_numbers_that_do_not_exist_are_written_by_name(tmp_path):
     write_csv(frame, tmp_path / "parameters.csv")
     lines = (tmp_path / "parameters.csv").read_text().splitlines()
     assert lines[0] == ",".join((*PARAMETER_COLUMNS, "extra"))
-    assert lines[2] == "k_1,10.0,inf,-inf,inf,Nm/rad,false,,1.0"
-    assert lines[1].endswith(",true,,nan")
+    assert lines[2] == "k_1,10.0,inf,-inf,inf,Nm/rad,false,,,1.0"
+    assert lines[1].endswith(",true,,,nan")
     write_csv(frame.iloc[:0], tmp_path / "empty.csv")
     assert (tmp_path / "empty.csv").read_text() == lines[0] + "\n"
 
@@ -175,6 +176,14 @@ def test_every_estimator_has_the_same_table(identified, written):
         for name in result.fit.values:
             assert tuple(part.loc[name, ["lower_95", "upper_95"]]) == result.fit.interval(name)
         assert part.loc["m_h", "unit"] == "kg"
+
+
+def test_every_table_says_of_whom_it_is(written):
+    for name in ("parameters.csv", "admittance.csv", "endpoint.csv"):
+        read = pd.read_csv(written[name])
+        assert tuple(read.columns[-2:]) == ("condition", "subject")
+        assert set(read["subject"]) == {"relax"}
+    assert [of["subject"] for of in json.loads(written["fit.json"].read_text()).values()] == ["relax", "relax"]
 
 
 def test_impedance_at_the_hand_is_written(identified, written):

@@ -5,6 +5,7 @@ import errno
 import json
 import os
 import re
+import shlex
 import subprocess
 import sys
 import warnings
@@ -66,6 +67,12 @@ def test_a_warning_is_one_line_without_a_place_in_the_code(tmp_path, capsys, mon
     assert capsys.readouterr().err == "armperturb: warning: two lines \\x1b[2J\n"
 
 
+def test_a_sidecar_is_advised_as_a_shell_takes_it(tmp_path, capsys):
+    assert run("sidecar", RECORDING.with_name("position.csv"), "--out", tmp_path / "two words.json") == 0
+    typed = capsys.readouterr().out.partition("for other files with these channels: ")[2].splitlines()[0]
+    assert shlex.split(typed) == ["--sidecar", str(tmp_path / "two words.json")]
+
+
 @pytest.mark.slow(reason="simulates a trial of 30 s and fits it")
 @pytest.mark.usefixtures("without_page", "blank_pictures")
 def test_simulate_then_identify(inputs, capsys):
@@ -76,6 +83,7 @@ def test_simulate_then_identify(inputs, capsys):
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == [
         "frequency_hz", "output", "input", "real", "imag", "gain_m_per_N", "phase_deg", "coherence", "condition",
+        "subject",
     ]  # fmt: skip
     assert len(rows) == 18 * 4
     for row in rows:
@@ -86,7 +94,7 @@ def test_simulate_then_identify(inputs, capsys):
     with (inputs / "results" / "parameters.csv").open() as file:
         parameters = {row["parameter"]: row for row in csv.DictReader(file)}
     assert list(parameters["m_tot"]) == [
-        "parameter", "value", "standard_error", "lower_95", "upper_95", "unit", "at_bound", "condition",
+        "parameter", "value", "standard_error", "lower_95", "upper_95", "unit", "at_bound", "condition", "subject",
     ]  # fmt: skip
     assert float(parameters["m_tot"]["value"]) == pytest.approx(3.38, rel=0.01)
     for row in parameters.values():

@@ -41,7 +41,7 @@ def test_multisines_give_tables_figures_and_the_distortion(folder, tmp_path, cap
     table = rows(tmp_path / "response.csv")
     assert list(table[0]) == [
         "frequency_hz", "output", "input", "real", "imag", "gain_m_per_N", "phase_deg", "standard_error", "radius_95",
-        "condition",
+        "condition", "subject",
     ]  # fmt: skip
     inside = []
     for row in table:
@@ -56,7 +56,7 @@ def test_multisines_give_tables_figures_and_the_distortion(folder, tmp_path, cap
     assert np.mean(inside) > 0.85
     levels = rows(tmp_path / "distortion.csv")
     assert len(levels) == len(table) / 2
-    assert {row["condition"] for row in levels + table} == {"PT"}
+    assert {(row["condition"], row["subject"]) for row in levels + table} == {("PT", "load")}
 
 
 @pytest.mark.slow(reason="estimates from long records")

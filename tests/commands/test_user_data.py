@@ -15,6 +15,7 @@ from laboratory import write
 from armperturb import cli
 from armperturb.commands import compare, design, identify, response, validate
 from armperturb.convert.importer import import_recording
+from armperturb.recording import make_recording
 from armperturb.recording_files import load_recording, save_recording
 from armperturb.subject import POSITION
 
@@ -121,6 +122,32 @@ def test_a_result_of_the_name_of_an_input_is_refused(folder, capsys):
     line = refused(capsys, "identify", recording, "--model", structure, "--out", folder)
     assert "structure.toml: is an input of this command" in line
     assert structure.read_text(encoding="utf-8") == 'base = "3b"\n'
+
+
+@pytest.mark.parametrize("earlier", ['{"PT 1": {"model": "2"}, "RT": {"model": "2"}}', '{"model": "2"}', "mine", None])
+def test_results_of_an_earlier_run_are_removed_and_other_files_are_not(folder, monkeypatch, earlier):
+    names = ("arm.toml", "arm_PT_1.toml", "arm_mine.toml", "structure_RT.toml", "endpoint.csv", "identify.html")
+    for name in names:
+        (folder / name).write_text("earlier", encoding="utf-8")
+    if earlier is not None:
+        (folder / "fit.json").write_text(earlier, encoding="utf-8")
+    recording = folder / "one_axis.nc"
+    labels = {"subject": ["A"], "task": ["PT"], "condition": ["PT"], "repetition": [0], "pulse_level": [0.0]}
+    labels |= {name: [np.nan] for name in ("pulse_direction", "pulse_onset", "limit_time")}
+    angle = np.random.default_rng(0).normal(size=(1, 500, 1))
+    signals = {"force": angle, "displacement": angle}
+    save_recording(make_recording(signals, labels, 100.0, servo="position", joint="ankle"), recording)
+
+    def identified(command, recordings, notes):
+        (command.out / "fit.json").write_text("new", encoding="utf-8")
+        return []
+
+    monkeypatch.setattr(identify.Identify, "_identify_joint", identified)
+    assert cli.main(["identify", str(recording), "--out", str(folder), "--overwrite"]) == 0
+    removed = {"arm.toml", "endpoint.csv", "identify.html"} if earlier and earlier != "mine" else set()
+    removed |= {"arm_PT_1.toml", "structure_RT.toml"} if earlier and "RT" in earlier else set()
+    assert {name for name in names if not (folder / name).exists()} == removed
+    assert (folder / "fit.json").read_text(encoding="utf-8") == "new"
 
 
 def test_an_empty_folder_is_not_the_current_one(folder, capsys, monkeypatch):

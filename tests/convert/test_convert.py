@@ -617,6 +617,17 @@ def test_unequal_lengths_are_refused_and_cut_if_asked(tmp_path):
     assert "all are cut to the shortest" in found.notes[0]
 
 
+def test_trials_are_not_cut_to_one_that_broke_off(tmp_path):
+    path = write(tmp_path, table(3)[: 2 * N_TIME + 41])
+    message = r"trial '3': it lasts 0.205 s, and half of the trials 6 s or longer; .*--repair trials leaves it out"
+    for repair in ((), "lengths", ("stretch", "lengths", "gaps")):
+        with pytest.raises(ValueError, match=message):
+            import_recording([path], repair=repair)
+    found = import_recording([path], repair=("lengths", "trials"))
+    assert_is_the_laboratory(found.recording)
+    assert "trial '3' is left out: it lasts 0.205 s" in found.notes[0]
+
+
 def test_signals_of_other_rates_are_not_cut_to_one_length(tmp_path):
     d, f, x = handle()
     path = tmp_path / "lab.npz"

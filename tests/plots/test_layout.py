@@ -9,6 +9,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from armperturb.plots.ellipses import Posture, plot_ellipses
 from armperturb.plots.panels import admittance_panels, legend
 from armperturb.plots.style import in_style, new_figure, save_png, svg
 
@@ -77,7 +78,19 @@ def ticks_that_change():
     return figure
 
 
-FIGURES = (an_admittance, ticks_that_change, subfigures, nested_grids, legends_and_a_title_beside, pictures)
+def ellipses_of_many_conditions():
+    """As many as the legend needs three rows for."""
+    figure, joints = new_figure(1.0), np.array([[0.0, 0.0], [0.27, 0.155], [0.146, 0.493]])
+    units = {"stiffness": "N/m", "damping": "Ns/m", "inertia": "kg"}
+    posture = Posture(joints=joints, outlines=dict.fromkeys(units, lambda angle: np.ones((3, len(angle)))))
+    plot_ellipses({f"PT{number}": posture for number in range(9)}, units, figure)
+    return figure
+
+
+FIGURES = (
+    an_admittance, ticks_that_change, subfigures, nested_grids, legends_and_a_title_beside, pictures,
+    ellipses_of_many_conditions,
+)  # fmt: skip
 
 
 def places(figure):

@@ -11,7 +11,7 @@ from armperturb.analysis.nonlinear.prediction import PulsePrediction
 from armperturb.analysis.results import PARAMETER_COLUMNS
 from armperturb.plots.parameters import plot_parameters
 from armperturb.plots.scores import FARTHEST, plot_scores
-from armperturb.plots.style import new_figure
+from armperturb.plots.style import colours_for, new_figure
 
 matplotlib.use("agg")
 
@@ -46,6 +46,11 @@ def test_single_trials_and_conditions(noisy_relax_recording):
         armperturb.plot(without, trial=-1)
 
 
+@pytest.mark.parametrize("n", [1, 6, 7, 24])
+def test_no_two_conditions_of_a_figure_have_a_colour(n):
+    assert len(set(colours_for(n))) == n
+
+
 def test_figures_of_pyplot_are_made_where_none_is_given(relax_recording):
     axes = armperturb.plot(relax_recording, trial=0)
     assert pyplot.gcf() is axes[0, 0].figure
@@ -61,8 +66,8 @@ def test_what_cannot_be_drawn_is_refused(relax_recording):
 
 def test_parameters_of_several_fits_stand_side_by_side():
     rows = [
-        ("k_s", 100.0, 5.0, 90.0, 110.0, "Nm/rad", False, ""),
-        ("Td_s", 0.03, np.inf, -np.inf, np.inf, "s", True, ""),
+        ("k_s", 100.0, 5.0, 90.0, 110.0, "Nm/rad", False, "", "A"),
+        ("Td_s", 0.03, np.inf, -np.inf, np.inf, "s", True, "", "A"),
     ]
     frame = pd.DataFrame(rows, columns=PARAMETER_COLUMNS)
     axes = plot_parameters({"first": frame, "second": frame}, new_figure(1.0))

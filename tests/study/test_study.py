@@ -281,7 +281,7 @@ def test_a_study_reads_as_a_table_and_plots(study):
     assert all(remark in study.summary() for remark in (*study.missing, *study.remarks))
     assert all(len(repr(case).splitlines()) <= LINES for case in study.cases)
     frame = study.to_frame()
-    assert tuple(frame.columns) == ("subject", *PARAMETER_COLUMNS)
+    assert tuple(frame.columns) == PARAMETER_COLUMNS
     assert not frame.duplicated(["subject", "condition", "parameter"]).any()
     case = study.of("PT7.5")[0]
     mine = frame[(frame["subject"] == case.name) & (frame["condition"] == "PT7.5")]

@@ -70,6 +70,11 @@ class ArmFit(FitResult):
         """Name of a parameter in tables, and the condition."""
         return name, self.condition
 
+    @property
+    def labels(self) -> dict[str, str]:
+        """The subject."""
+        return {"subject": self.arm.name}
+
     def admittance_bands(self, frequency: ArrayLike, level: float = 0.95) -> Bands | None:
         """Confidence bands of the arm's admittance that follow from the intervals of its parameters, linearised.
 

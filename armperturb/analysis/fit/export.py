@@ -20,6 +20,7 @@ def fit_summary(identification: Identification) -> dict[str, Any]:
     vaf_x, vaf_y, criterion = (float(v) if math.isfinite(v) else None for v in (*identification.vaf, fit.criterion))
     return {
         "model": fit.structure,
+        **fit.labels,
         "estimator": fit.estimator,
         "status": fit.message,
         "converged": fit.converged,
@@ -71,8 +72,8 @@ def write_identification(results: Identifications, folder: str | Path) -> list[P
     none, and without any there are no such files.
 
     Args:
-      results: of `identify_conditions`. The last column of each table is the condition; `fit.json` holds one summary,
-        or with several conditions one for each.
+      results: of `identify_conditions`. The last columns of each table are condition and subject; `fit.json`
+        holds one summary, or with several conditions one for each.
       folder: where.
 
     Returns:
@@ -96,7 +97,9 @@ def write_identification(results: Identifications, folder: str | Path) -> list[P
     names = ("admittance.csv", "parameters.csv", "fit.json", *(("endpoint.csv", "endpoint.svg") if endpoints else ()))
     paths = [folder / name for name in names]
     with written_together(paths) as (admittance, parameters, fit, *of_hand):
-        frames = [result.spectra.to_frame().assign(condition=label) for label, result in results.items()]
+        frames = [
+            result.spectra.to_frame().assign(condition=label, **result.fit.labels) for label, result in results.items()
+        ]
         write_csv(pd.concat(frames), admittance)
         write_csv(results.to_frame(), parameters)
         fit.write_text(summary + "\n", encoding="utf-8")

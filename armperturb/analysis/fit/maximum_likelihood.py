@@ -125,11 +125,15 @@ class Estimate(FitResult):
         parameter, _, condition = name.partition(" [")
         return parameter, condition.removesuffix("]") or "+".join(self.arms)
 
+    @property
+    def labels(self) -> dict[str, str]:
+        """The subject."""
+        return {"subject": ", ".join(dict.fromkeys(arm.name for arm in self.arms.values()))}
+
     def describe(self) -> Description:
         """Estimates and how the search ended."""
-        people = ", ".join(dict.fromkeys(arm.name for arm in self.arms.values()))
         return Description(
-            title=f"Maximum-likelihood estimate ({self.method}) of {people} in {', '.join(self.arms)}",
+            title=f"Maximum-likelihood estimate ({self.method}) of {self.labels['subject']} in {', '.join(self.arms)}",
             facts=(self.message, f"chi2 / dof = {self.chi2:.1f} / {self.dof}, p = {self.p_value:.2g}"),
             table=parameter_table(self.to_frame(), "condition"),
             remarks=self.remarks,

@@ -14,6 +14,7 @@ def joint_summary(result: JointIdentification) -> dict[str, Any]:
     free = result.free_model
     return {
         "model": "joint",
+        **result.labels,
         "structure": result.structure.name,
         "reflex": result.structure.reflex,
         "servo": result.servo,

@@ -68,6 +68,7 @@ class JointIdentification(FitResult):
 
     Attributes:
       label: who, in which condition, how many trials.
+      subject: who.
       condition: of the trials.
       joint: its name; empty if unknown.
       servo: "force" or "position".
@@ -89,6 +90,7 @@ class JointIdentification(FitResult):
     """
 
     label: str
+    subject: str
     condition: str
     joint: str
     servo: str
@@ -144,6 +146,11 @@ class JointIdentification(FitResult):
     def place_of(self, name: str) -> tuple[str, str]:
         """Name of a parameter, and the condition."""
         return name, self.condition
+
+    @property
+    def labels(self) -> dict[str, str]:
+        """The subject, and the joint."""
+        return {"subject": self.subject, "joint": self.joint}
 
     @property
     def sentence(self) -> str:
@@ -223,7 +230,7 @@ def identify_joint(
     """
     check_recording(recording)
     require_one_of("identify", "reflex", reflex, (None, *REFLEXES))
-    condition = str(one_condition([recording])["condition"])
+    values = one_condition([recording])
     (recording,), left_out = inside_limit([recording])
     rate = float(recording.attrs["rate"])
     duration = recording.sizes["time"] / rate
@@ -261,7 +268,8 @@ def identify_joint(
         message="converged" if best.converged else "the rounds of weighing did not settle",
         remarks=(*left_out, *_remarks(best, signals, free, intrinsic, at_bound)),
         label=named(recording),
-        condition=condition,
+        subject=str(values["subject"]),
+        condition=str(values["condition"]),
         joint=str(recording.attrs.get("joint", "")),
         servo=signals.servo,
         angular=recording["displacement"].attrs["units"] == "rad",

@@ -239,7 +239,7 @@ class EndpointImpedance(Result):
             ]
         frame = pd.DataFrame(rows, columns=["quantity", "measure", "value", "lower_95", "upper_95", "unit"])
         posture = {"theta_s_deg": self.arm.theta_s_deg, "theta_e_deg": self.arm.theta_e_deg}
-        return frame.assign(**posture, condition=self.condition)
+        return frame.assign(**posture, condition=self.condition, subject=self.arm.name)
 
     def to_xarray(self) -> xr.Dataset:
         """The columns `value`, `lower_95` and `upper_95` of `to_frame` along quantity and measure."""

@@ -27,6 +27,7 @@ def fit_summary(result: NonlinearIdentification) -> dict[str, Any]:
 
     summary = {
         "model": "nonlinear",
+        **estimate.labels,
         "law": estimate.model.law,
         "emg": list(result.emg),
         "status": estimate.message,
@@ -68,7 +69,7 @@ def write_nonlinear(result: NonlinearIdentification, folder: Path) -> None:
     with written_together([folder / name for name in names]) as (parameters, correlations, predictions, fitted):
         write_csv(result.to_frame(), parameters)
         write_csv(result.estimate.correlation_frame().reset_index(names="parameter"), correlations)
-        write_csv(result.pulse_frame(), predictions)
+        write_csv(result.pulse_frame().assign(**result.estimate.labels), predictions)
         fitted.write_text(json.dumps(fit_summary(result), indent=2, allow_nan=False) + "\n", encoding="utf-8")
     for checkpoint in folder.glob(CHECKPOINTS):
         checkpoint.unlink()

@@ -88,13 +88,18 @@ class NonlinearEstimate(FitResult):
         level, _, condition = name.partition(" ")[0].partition(".")
         return level, condition
 
+    @property
+    def labels(self) -> dict[str, str]:
+        """The subject."""
+        return {"subject": next(iter(self.parameters.bodies.values())).name}
+
     def subject(self, task: str, condition: str = "") -> Subject:
         """The person in a task and condition, in a trial like the average one."""
         return self.parameters.person(task, self.state.point, condition)
 
     def describe(self) -> Description:
         """Whose muscles they are, how the search ended, and the parameters."""
-        name = next(iter(self.parameters.bodies.values())).name
+        name = self.labels["subject"]
         fits = ", ".join(f"{label} {test.p_value:.2g}" for label, test in self.lack_of_fit.items())
         spread = ", ".join(f"{quantity} [{task}] {100.0 * sd:.0f} %" for (task, quantity), sd in self.spread.items())
         return Description(

@@ -53,7 +53,7 @@ from armperturb.analysis.response.local_polynomial import (
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.analysis.trials import SeveralTrials, TrialRecord, prepared_condition
 from armperturb.arrays import Array
-from armperturb.recording import LABELS, named
+from armperturb.recording import LABELS, labels_of, named
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -148,6 +148,7 @@ class BestLinear(Result):
                 "noise_m2": self.noise.ravel(),
                 "distortion_m2": self.distortion.ravel(),
                 "distortion_standard_error_m2": self.distortion_error.ravel(),
+                **self.response.labels,
             }
         )
 
@@ -272,7 +273,9 @@ def best_linear(
     speed = np.array([fit.frequency * np.sqrt(of_one.sum()) for fit, of_one in zip(fits, linear, strict=True)])
     weight = speed * precision
     return BestLinear(
-        response=replace(response, label=named([part.recording for part in several])),
+        response=replace(
+            response, label=named([part.recording for part in several]), labels=labels_of(several[0].recording)
+        ),
         linear=np.array(linear),
         noise=np.array(noise),
         distortion=np.array(distortion),

@@ -26,7 +26,7 @@ from armperturb.analysis.response.tapers import estimate_multitaper, estimate_we
 from armperturb.analysis.trials import SeveralTrials, TrialRecord, prepared, prepared_condition, prepared_recordings
 from armperturb.arrays import Array
 from armperturb.joined_recordings import join_recordings
-from armperturb.recording import is_one_axis, named
+from armperturb.recording import is_one_axis, labels_of, named
 from armperturb.validation import require_one_of
 
 FEWEST_TRIALS = 4
@@ -194,8 +194,12 @@ def response(
     several = used_whole(several)
     method = "multisine" if method is None else method
     require_one_of("response", "method", method, list(METHODS))
-    label = f"{named([trials.recording for trials in several])}, {method}"
-    return replace(METHODS[method](several, frequency=frequency, **options), label=label, remarks=impossible(several))
+    return replace(
+        METHODS[method](several, frequency=frequency, **options),
+        label=f"{named([trials.recording for trials in several])}, {method}",
+        remarks=impossible(several),
+        labels=labels_of(several[0].recording),
+    )
 
 
 def _records_and_frequencies(

@@ -1,7 +1,7 @@
 """A frequency response with the uncertainty of each of its elements, whichever method estimated it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self
 
 import numpy as np
@@ -67,6 +67,7 @@ class FrequencyResponse(Result):
       environment: mass, damping and stiffness whose force balance made the signals better; None if none did.
       label: of whom, in which condition and by which method, for people to read.
       remarks: what a reader must know before trusting it, a sentence each.
+      labels: condition and subject, and of one axis the joint, as the last columns of tables have them.
 
     Raises:
       ValueError: shapes do not fit together.
@@ -80,6 +81,7 @@ class FrequencyResponse(Result):
     environment: Environment | None = None
     label: str = ""
     remarks: tuple[str, ...] = ()
+    labels: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         n, shape = len(self.frequency), self.response.shape
@@ -180,12 +182,13 @@ class FrequencyResponse(Result):
         """One row per frequency, output and input.
 
         `standard_error` is that of the real and of the imaginary part, each; `radius_95` that of the circle in which
-        the element lies with 95 %. Both are missing without covariance.
+        the element lies with 95 %. Both are missing without covariance. The last columns are `labels`.
         """
         frame = response_frame(self.frequency, self.response)
         if self.covariance is None:
-            return frame.assign(standard_error=None, radius_95=None)
-        return frame.assign(standard_error=np.sqrt(self.covariance / 2).ravel(), radius_95=self.radius().ravel())
+            return frame.assign(standard_error=None, radius_95=None, **self.labels)
+        error = np.sqrt(self.covariance / 2).ravel()
+        return frame.assign(standard_error=error, radius_95=self.radius().ravel(), **self.labels)
 
     def to_xarray(self) -> xr.Dataset:
         """Variables `response`, and where they are known `covariance` and `dof`, along frequency, output and input."""

@@ -42,7 +42,7 @@ from armperturb.analysis.response.local_polynomial import (
 from armperturb.analysis.results import Description, Table, plain
 from armperturb.analysis.trials import SeveralTrials, TrialRecord, prepared_recordings
 from armperturb.arrays import Array, ComplexArray
-from armperturb.recording import named
+from armperturb.recording import labels_of, named
 from armperturb.validation import require_number
 
 if TYPE_CHECKING:
@@ -127,6 +127,7 @@ class AxisResponse(FrequencyResponse):
                 "distortion": self.distortion,
                 "distortion_limit": self.distortion_limit,
                 "unit": self.units,
+                **self.labels,
             }
         )
 
@@ -233,6 +234,7 @@ def one_axis_response(
         what=what,
         dof=dof,
         label=named(inside),
+        labels=labels_of(inside[0]),
         kind="impedance" if imposed else "admittance",
         units=f"{torque}/{angle}" if imposed else f"{angle}/{torque}",
         coherence=explained / (explained + noise[:, -1, -1].real),

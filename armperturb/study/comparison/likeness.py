@@ -38,7 +38,7 @@ from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Sampled
 from armperturb.plots.style import COLOURS, GREY, INK, PALE, figure_for, in_style
-from armperturb.recording import named
+from armperturb.recording import labels_of, named
 from armperturb.subject import POSITION, RELAX, TASKS, Subject
 from armperturb.validation import require_one_of, require_type, require_whole
 
@@ -78,7 +78,7 @@ class Likeness(Result):
       frequency: at which admittances are compared [Hz], (frequency,).
       gains: larger and smaller gain of the arm's admittance [m/N], (frequency, 2).
       reference_gains: of the people, (person, frequency, 2).
-      table: group, quantity, value, people's mean and SD, unit, and the distance in SDs.
+      table: group, quantity, unit, value, people's mean and SD, the distance in SDs, condition and subject.
       distance: group to the root mean square of its quantities' distances [SD].
       usual: group to the distance from the others within which 95 % of the people lie [SD].
     """
@@ -190,7 +190,7 @@ def compare(
         frequency=frequency,
         gains=_gains(admittance),
         reference_gains=_gains(of_people),
-        table=table,
+        table=table.assign(**labels_of(first)),
         distance={str(name): value for name, value in _distances(table).items()},
         usual=_usual(each),
     )

@@ -78,11 +78,11 @@ class StudyResult(results.Result):
         )
 
     def to_frame(self) -> pd.DataFrame:
-        """One row per person, condition and parameter: `subject`, and the columns of `results.PARAMETER_COLUMNS`."""
+        """One row per person, condition and parameter, with the columns of `results.PARAMETER_COLUMNS`."""
         parts = [case.identified.to_frame().assign(subject=case.name) for case in self._identified()]
         if not parts:
-            return pd.DataFrame(columns=["subject", *results.PARAMETER_COLUMNS])
-        return pd.concat(parts, ignore_index=True)[["subject", *results.PARAMETER_COLUMNS]]
+            return pd.DataFrame(columns=list(results.PARAMETER_COLUMNS))
+        return pd.concat(parts, ignore_index=True)
 
     def to_xarray(self) -> xr.Dataset:
         """`Identification.to_xarray` of every case along a dimension `case`, with its `subject` and `condition`.

@@ -185,9 +185,12 @@ def test_an_impulse_response_finds_an_intrinsic_path_that_is_more(recording):
 def test_files_and_page(result, tmp_path):
     write_joint(result, tmp_path)
     write_joint_page(result, tmp_path / "identify.html", Origin())
-    assert tuple(result.to_frame().columns) == PARAMETER_COLUMNS
-    assert (tmp_path / "parameters.csv").read_text().startswith(",".join(PARAMETER_COLUMNS))
-    assert json.loads((tmp_path / "fit.json").read_text())["reflex"] == "half-wave"
+    assert tuple(result.to_frame().columns) == (*PARAMETER_COLUMNS, "joint")
+    header, first, *_ = (tmp_path / "parameters.csv").read_text().splitlines()
+    assert header == ",".join((*PARAMETER_COLUMNS, "joint"))
+    assert first.endswith(",PT,S,ankle")
+    summary = json.loads((tmp_path / "fit.json").read_text())
+    assert [summary[name] for name in ("reflex", "subject", "joint")] == ["half-wave", "S", "ankle"]
     assert "Ankle of S" in (tmp_path / "identify.html").read_text()
     assert len(repr(result).splitlines()) <= 25
 

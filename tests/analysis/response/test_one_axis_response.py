@@ -71,7 +71,7 @@ def test_the_command_writes_table_and_figure(recordings, tmp_path, capsys):
     with (tmp_path / "out" / "response.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert set(rows[0]) >= {"frequency_hz", "gain", "radius_95", "coherence", "distortion", "unit", "condition"}
-    assert {row["unit"] for row in rows} == {"Nm/rad"}
+    assert {(row["unit"], row["subject"], row["joint"]) for row in rows} == {("Nm/rad", "S", "ankle")}
     for options, message in (
         (("--method", "arx"), "method = 'arx'"),
         (("--what", "total"), "what = 'total' on a position servo"),

@@ -37,6 +37,7 @@ def test_a_person_is_human_and_an_arm_of_iron_is_not():
         assert not any(told_apart.is_human(group) for group in told_apart.distance), told_apart.distance
         assert "not as people's" in repr(told_apart)
         assert set(told_apart.to_frame()["group"]) == {"admittance", "ellipses", "parameters"}
+        assert [set(told_apart.to_frame()[name]) for name in ("condition", "subject")] == [{"PT"}, {"position"}]
         assert len(told_apart.plot().axes) == 2
 
 
