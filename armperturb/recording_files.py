@@ -134,8 +134,9 @@ def load_recording(path: str | Path, optional: Iterable[str] = OPTIONAL_SIGNALS)
             recording = recording[list(recording.data_vars)].load()  # without coordinates of what is not there
     except Exception as error:  # attributes contradict values in any way
         raise ValueError(f"{path}: not a readable netCDF4 file ({' '.join(str(error).split())})") from None
-    texts = {name for name, each in recording.coords.items() if name in TEXT_COORDINATES or each.dtype == object}
-    recording = recording.assign_coords({name: recording[name].astype(str) for name in texts})
+    for name, coordinate in recording.coords.items():
+        if name in TEXT_COORDINATES or coordinate.dtype == object:
+            recording[name] = coordinate.astype(str)
     if "emg" in recording.data_vars:
         recording["emg"] = recording["emg"].astype(np.float32, copy=False)
     check_recording(recording, source=str(path))
