@@ -27,7 +27,7 @@ from armperturb.analysis.nonlinear.model import EFFECTS, Model, Parameters, valu
 from armperturb.analysis.nonlinear.noise import NoiseDraws
 from armperturb.analysis.nonlinear.problem import Problem
 from armperturb.analysis.nonlinear.result import NonlinearEstimate, remarks_on
-from armperturb.analysis.nonlinear.search import CONVERGED, MAX_STEPS, Position, Search
+from armperturb.analysis.nonlinear.search import CONVERGED, MAX_STEPS, MOST_SPREAD, Position, Search
 from armperturb.analysis.nonlinear.spindle_emg import EmgInFit, digests
 from armperturb.analysis.nonlinear.start import best_start, start_values
 from armperturb.analysis.trials import ConditionTrials
@@ -183,12 +183,9 @@ def _estimate(
     """
     parameters, state, names = problem.parameters, position.state, problem.parameters.names
     n = len(state.point)
-    oscillating = problem.limit_cycles(state)
-    if oscillating:
-        message = (
-            f"the arm has a limit cycle (self-sustained oscillation) in {', '.join(oscillating)}; confidence intervals "
-            "are not valid"
-        )
+    invalid = ""
+    if oscillating := problem.limit_cycles(state):
+        invalid = f"the arm has a limit cycle (self-sustained oscillation) in {', '.join(oscillating)}"
     predicted = problem.predict([state])[0]
     answers = problem.slopes(state, noisy=True) if problem.is_noisy else slopes
     variance = problem.information(state, slopes)
@@ -203,12 +200,15 @@ def _estimate(
         if deviations.odd:
             variance = score_variance(problem, state, slopes, deviations)
         else:
-            message = "every noise draw makes the simulation diverge; confidence intervals are not valid"
+            invalid = "every noise draw makes the simulation diverge"
         if not is_borne(problem, state, position.draws):
-            message = "in some trials the arm runs away under the person's noise; confidence intervals are not valid"
+            invalid = "in some trials the arm runs away under the person's noise"
     tested = lack_of_fit(problem, state, predicted, slopes, deviations)
     covariance = (moved @ variance @ moved.T)[:n, :n]
     error = np.sqrt(np.diag(covariance))
+    if invalid:
+        message = f"{invalid}; confidence intervals are not valid"
+        error = np.full_like(error, np.nan)
     near = np.minimum(state.point - parameters.lower, parameters.upper - state.point) < AT_BOUND
     problem.weigh(state, problem.residual(predicted))
     values = {name: value_at(name, at) for name, at in zip(names, state.point, strict=True)}
@@ -216,6 +216,12 @@ def _estimate(
     correlation = covariance / np.outer(error, error)
     at_bound = tuple(name for name, is_near in zip(names, near, strict=True) if is_near)
     remarks = [] if message == CONVERGED else [f"the search did not end at a maximum ({message})"]
+    remarks += [
+        f"the SD over trials of {quantity} [{task}] sits on its bound of {100.0 * MOST_SPREAD:.0f} %: "
+        "trials differ by more, or the law is wrong"
+        for (task, quantity), spread in zip(problem.kinds, state.spread, strict=True)
+        if spread >= MOST_SPREAD
+    ]
     n_conditions = len({trials.label for trials in problem.sets})
     if n_conditions < 2 and parameters.model.law != "linear":
         remarks.append(

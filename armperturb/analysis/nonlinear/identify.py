@@ -183,7 +183,8 @@ def identify_nonlinear(
         if emg and not used
         else []
     )
-    estimate = replace(estimate, remarks=(*cut_remarks(sets, fitted), *unused, *estimate.remarks))
+    wrong = [f"{label}: {text.text}" for label in arms if (text := sets[label].balance.imbalance) is not None]
+    estimate = replace(estimate, remarks=(*wrong, *cut_remarks(sets, fitted), *unused, *estimate.remarks))
     pulses: dict[str, list[PulsePrediction]] = {"nonlinear": [], "linear": [], "skeletal": []}
     everywhere = nearest_arms(list(sets.values()), arms)
     for trials in left_out:

@@ -153,6 +153,8 @@ def test_a_wrong_law_leaves_a_lack_of_fit(noisy):
     fixed = {name: value for name, value in FEW.fixed.items() if name in ("m_h", "m_f", "k_h", "b_h")}
     found = fit(noisy, ARMS, Model(law="linear", fixed=fixed), n_pairs=0)
     assert min(test.p_value for test in found.lack_of_fit.values()) < 1e-3
+    # Trials would have to differ more than people do.
+    assert "the SD over trials of k [RT] sits on its bound of 50 %: trials differ by more, or " in found.remarks[0]
 
 
 class Stopped(Exception):
@@ -440,6 +442,10 @@ def test_a_limit_cycle_is_found_and_invalidates_a_fit(noisy, monkeypatch):
     found = fit(noisy[:1], ARMS, FEW, n_pairs=0, max_steps=1)
     assert not found.converged
     assert "the arm has a limit cycle (self-sustained oscillation) in RT7.5" in found.remarks[0]
+    # What is not valid is not printed, and says nothing of other parameters.
+    assert np.isnan([*found.interval(FREE[0]), found.standard_error[FREE[0]]]).all()
+    assert "not known" in found.summary()
+    assert not any("determined" in remark or "identifiable" in remark for remark in found.remarks)
 
 
 @pytest.mark.slow(reason="fits eight trials")
