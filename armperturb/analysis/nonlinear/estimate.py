@@ -41,6 +41,9 @@ N_PAIRS = 6
 N_PAIRS_OF_ERRORS = 16
 """Pairs of draws that the variance of the score is simulated with: with 8 trials, errors are then within some 7 %."""
 
+SAME_AMPLITUDE = 1.5
+"""RMS of the largest perturbation over that of the smallest up to which all are of one amplitude [-]."""
+
 AT_BOUND = 1e-3
 """Distance in the coordinate from its bound at which a parameter sits on it [-]."""
 
@@ -222,12 +225,8 @@ def _estimate(
         for (task, quantity), spread in zip(problem.kinds, state.spread, strict=True)
         if spread >= MOST_SPREAD
     ]
-    n_conditions = len({trials.label for trials in problem.sets})
-    if n_conditions < 2 and parameters.model.law != "linear":
-        remarks.append(
-            "all trials have one amplitude: yielding is hard to distinguish from softer muscle, and shear-thinning "
-            "from less damping"
-        )
+    if parameters.model.law != "linear":
+        remarks += _one_amplitude(problem.sets)
     return NonlinearEstimate(
         values=values,
         standard_error={name: value_per_coordinate(name, values[name]) * coordinate_error[name] for name in names},
@@ -243,8 +242,23 @@ def _estimate(
         objective=problem.objective(state, predicted),
         lack_of_fit=tested,
         n_steps=position.n_steps,
-        n_conditions=n_conditions,
+        n_conditions=len({trials.label for trials in problem.sets}),
         state=state,
         noises=tuple(problem.noises),
         strengths=strengths,
     )
+
+
+def _one_amplitude(sets: Sequence[ConditionTrials]) -> list[str]:
+    """A line for each task whose perturbations are all of nearly one size, as what yields is then hard to tell."""
+    tasks = dict.fromkeys(trials.body.task for trials in sets)
+    remarks = []
+    for task in tasks:
+        drives = [trials.drive[:, : trials.end] for trials in sets if trials.body.task == task]
+        sizes = np.concatenate([np.linalg.norm(drive.std(axis=1), axis=1) for drive in drives])
+        if sizes.max() < SAME_AMPLITUDE * sizes.min():
+            remarks.append(
+                f"all trials{f' of {task}' if len(tasks) > 1 else ''} have one amplitude: yielding is hard to "
+                "distinguish from softer muscle, and shear-thinning from less damping"
+            )
+    return remarks

@@ -188,10 +188,15 @@ def test_a_search_that_was_stopped_goes_on_to_the_same_result(noisy, tmp_path):
     assert found.coordinate_error == pytest.approx(expected.coordinate_error, rel=1e-6)
 
 
-@pytest.mark.slow(reason="fits eight simulated trials")
-def test_one_amplitude_is_said_to_tell_little(noisy):
-    found = fit([noisy[1].take([0])], ARMS, FEW, n_pairs=0)
-    assert any("all trials have one amplitude" in remark for remark in found.remarks)
+@pytest.mark.slow(reason="fits simulated trials")
+@pytest.mark.parametrize(("amplitudes", "names"), [((1, 1), "AB"), ((0, 1), "AA")])
+def test_one_amplitude_is_said_to_tell_little_whatever_conditions_are_called(noisy, amplitudes, names):
+    sets = [
+        replace(trials, recording=trials.recording.assign_coords(condition=("trial", [name])))
+        for trials, name in zip((noisy[k].take([k]) for k in amplitudes), names, strict=True)
+    ]
+    found = fit(sets, dict.fromkeys(names, ARM), FEW, n_pairs=0, max_steps=1)
+    assert any("all trials have one amplitude" in remark for remark in found.remarks) == (amplitudes == (1, 1))
 
 
 @pytest.mark.parametrize(
