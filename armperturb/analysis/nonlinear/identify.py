@@ -29,6 +29,7 @@ from armperturb.analysis.nonlinear.spindle_emg import usable_emg
 from armperturb.analysis.nonlinear.start import linear_arms
 from armperturb.analysis.nonlinear.trials import cut_remarks, fitted_conditions, training_sets
 from armperturb.analysis.results import Description, Result
+from armperturb.analysis.trials import ConditionTrials
 from armperturb.muscle_law import MuscleLaw
 from armperturb.planar_arm.simulation import load_compiled_arm
 from armperturb.recording import check_recording
@@ -195,14 +196,12 @@ def identify_nonlinear(
     else:
         model = Model(law=law, free=freed, parts=parts)
         estimate = fit(fitted, arms, model, emg=used, checkpoint=folder and folder / "checkpoint.json.gz", **options)
-    unused = (
-        ["EMG is not used: the relaxed arm has no reflexes, of which it tells; the movement alone is used"]
-        if emg and not used
-        else []
-    )
-    wrong = [f"{label}: {text.text}" for label in arms if (text := sets[label].balance.imbalance) is not None]
-    assumed = _assumed(freed) if any(trials.body.task == "PT" for trials in fitted) else []
-    estimate = replace(estimate, remarks=(*wrong, *cut_remarks(sets, fitted), *unused, *assumed, *estimate.remarks))
+    remarks = _of_trials(sets, fitted, arms, freed)
+    if emg and not used:
+        remarks.append(
+            "EMG is not used: the relaxed arm has no reflexes, of which it tells; the movement alone is used"
+        )
+    estimate = replace(estimate, remarks=(*remarks, *estimate.remarks))
     pulses: dict[str, list[PulsePrediction]] = {"nonlinear": [], "linear": [], "skeletal": []}
     everywhere = nearest_arms(list(sets.values()), arms)
     for trials in left_out:
@@ -219,14 +218,34 @@ def identify_nonlinear(
     )
 
 
-def _assumed(freed: Collection[str]) -> list[str]:
-    """Which values of reflexes are assumed, a line at most, as all others make up for what is wrong with them."""
+def _of_trials(
+    sets: Mapping[str, ConditionTrials],
+    fitted: Sequence[ConditionTrials],
+    identified: Iterable[str],
+    freed: Collection[str],
+) -> list[str]:
+    """What trials violate or leave out of what a fit assumes, a line each.
+
+    Args:
+      sets: condition to its trials.
+      fitted: what is fitted of them.
+      identified: conditions that have a linear arm.
+      freed: what is free of `FIXED`.
+    """
+    balances = {label: sets[label].balance.imbalance for label in identified}
+    said = [f"{label}: {imbalance.text}" for label, imbalance in balances.items() if imbalance is not None]
+    said += cut_remarks(sets, fitted)
+    if amid := dict.fromkeys(trials.label for trials in fitted if not trials.from_rest):
+        said.append(
+            f"{', '.join(amid)}: trials start amid the movement, though the law has them start from rest with all "
+            "bonds unstrained: what went before counts as noise, and intervals are wider (record each trial from rest)"
+        )
     values = {"Td": f"a delay of {1e3 * FIXED['Td']:g} ms", "fact": f"a cut-off of {FIXED['fact']:g} Hz"}
-    names = [name for name in values if name not in freed]
-    if not names:
-        return []
-    return [
-        f"reflexes are assumed to have {' and '.join(values[name] for name in names)}; where the person's differ, "
-        f"gains and stiffness are off by more than their intervals say (--free {' '.join(names)} estimates "
-        f"{'it' if len(names) == 1 else 'them'})"
-    ]
+    assumed = [name for name in values if name not in freed]
+    if assumed and any(trials.body.task == "PT" for trials in fitted):
+        said.append(
+            f"reflexes are assumed to have {' and '.join(values[name] for name in assumed)}; where the person's "
+            "differ, gains and stiffness are off by more than their intervals say "
+            f"(--free {' '.join(assumed)} estimates {'it' if len(assumed) == 1 else 'them'})"
+        )
+    return said

@@ -51,6 +51,14 @@ def test_what_is_wrong_with_the_force_is_a_remark(recording):
     assert "10 % too large" in remark
 
 
+def test_a_start_amid_the_movement_is_a_remark(recording):
+    late = recording.isel(time=slice(300, None)).drop_vars("joint_angle")
+    late = late.assign_coords(time=recording["time"].values[: late.sizes["time"]])
+    late["displacement"] = late["displacement"] - late["displacement"].isel(time=0)
+    (remark,) = ap.identify_nonlinear(late).estimate.remarks
+    assert remark.startswith("RT7.5: trials start amid the movement, though the law has them start from rest ")
+
+
 def test_what_is_assumed_of_reflexes_is_a_remark_and_can_be_free(recording, models):
     position = recording.assign_coords(task=("trial", ["PT"]))
     (remark,) = ap.identify_nonlinear(position).estimate.remarks
