@@ -68,6 +68,11 @@ def stem(name: str) -> str:
     return name.partition(" ")[0].partition(".")[0]
 
 
+def leveled_condition(name: str) -> str:
+    """Condition of which a parameter is the level, which only the position task has; "" if it is no level."""
+    return name.removeprefix("level.").removesuffix(" [PT]") if stem(name) == "level" else ""
+
+
 def unit(name: str) -> str:
     """Unit of a parameter; "-" if it has none."""
     return _TABLES["units"].get(stem(name)) or structures.unit(stem(name))

@@ -425,12 +425,12 @@ def test_pulses_alone_start_from_the_level_that_answers_them(level):
     multisine = made.trial_set(made.record(POSITION, [made.push(1, 1.5, 6.0)], condition="PT7.5"))
     force = np.zeros((600, 2))
     force[100:112] = 12.0, 6.0
-    pulse = made.trial_set(made.record(at_level(POSITION, level), [force], condition="PT0"))
+    pulse = made.trial_set(made.record(at_level(POSITION, level), [force], condition="PT 0"))
     problem = position_problem([multisine, pulse], **fixed)
-    assert problem.parameters.names == ["level.PT0"]
+    assert problem.parameters.names == ["level.PT 0"]
     start = best_start(problem, np.zeros(1), {})
     assert np.exp(start.point) == pytest.approx([level], rel=0.15)
-    assert best_start(problem, np.log([0.8]), {"level.PT0": 0.8}).point == pytest.approx(np.log([0.8]))
+    assert best_start(problem, np.log([0.8]), {"level.PT 0": 0.8}).point == pytest.approx(np.log([0.8]))
 
 
 @pytest.mark.slow(reason="fits")
@@ -461,7 +461,11 @@ def test_a_result_reads_as_a_table(noisy_fit):
     row = frame.iloc[2]
     assert (row["unit"], row["condition"], row["at_bound"]) == ("deg", "", False)
     assert (row["lower_95"], row["upper_95"]) == noisy_fit.interval(FREE[2])
-    assert noisy_fit.place_of("level.PT22.5") == ("level", "PT22.5")
+    assert noisy_fit.place_of("level.PT22.5 [PT]") == ("level", "PT22.5")
+    of_two = {"level.B mid": 0.9, "level.C high": 0.8}
+    leveled = replace(noisy_fit, values=of_two, standard_error=of_two, coordinate_error=of_two)
+    assert [row[0] for row in leveled.describe().table.rows] == list(of_two)
+    assert leveled.to_frame()["condition"].tolist() == ["B mid", "C high"]
     lines = repr(noisy_fit).splitlines()
     assert lines[0].startswith(f"Muscles of {PERSON.name} in RT: full law, maximum likelihood of raw trials in 2 ")
     assert len(lines) <= 25
