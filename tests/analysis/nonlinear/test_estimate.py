@@ -19,7 +19,7 @@ from armperturb.analysis.nonlinear.draws import (
 from armperturb.analysis.nonlinear.estimate import fit, free_parameters, nearest_arms
 from armperturb.analysis.nonlinear.model import Model, coordinate, true_values
 from armperturb.analysis.nonlinear.noise import NoiseDraws
-from armperturb.analysis.nonlinear.prediction import predict_pulses, predict_pulses_linearly
+from armperturb.analysis.nonlinear.prediction import facts_of, predict_pulses, predict_pulses_linearly
 from armperturb.analysis.nonlinear.problem import Normal, Problem
 from armperturb.analysis.nonlinear.result import remarks_on
 from armperturb.analysis.nonlinear.simulated import State
@@ -312,6 +312,13 @@ def test_pulses_of_the_true_person_are_predicted_and_those_of_a_linear_arm_are_n
     assert max(linear.vaf, skeletal.vaf) < 95.0
     assert not np.allclose(linear.predicted, skeletal.predicted, rtol=0.01)
     assert predict_pulses(recorded.before(600), PERSON) == []  # the window is not recorded
+    # Of arms that diverge nothing is predicted, which the medians of the others do not count.
+    diverged = replace(linear, predicted=np.full_like(linear.predicted, np.nan))
+    assert facts_of({"A": [itself, diverged], "B": [diverged], "C": []}) == (
+        f"2 left-out pulses, A: median peak {itself.peak:.0f} %, median VAF {itself.vaf:.1f} %, 1 of 2 not "
+        "predicted, as the arm diverges",
+        "1 left-out pulses, B: 1 of 1 not predicted, as the arm diverges",
+    )
 
 
 @pytest.mark.slow(reason="five fits")
