@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from armperturb.analysis.fit.maximum_likelihood import SUSPICIOUS
 from armperturb.analysis.nonlinear.checkpoint import digest_of, load_position, save_position
 from armperturb.analysis.nonlinear.draws import (
     Deviations,
@@ -224,6 +225,12 @@ def _estimate(
         "trials differ by more, or the law is wrong"
         for (task, quantity), spread in zip(problem.kinds, state.spread, strict=True)
         if spread >= MOST_SPREAD
+    ]
+    remarks += [
+        f"{label}: the perturbation explains more of the movement than the {parameters.model.law} law does (chi2 / "
+        f"dof = {test.chi2 / test.dof:.2f}, p = {test.p_value:.1g})"
+        for label, test in tested.items()
+        if test.p_value < SUSPICIOUS
     ]
     if parameters.model.law != "linear":
         remarks += _one_amplitude(problem.sets)

@@ -155,6 +155,7 @@ def test_a_wrong_law_leaves_a_lack_of_fit(noisy):
     assert min(test.p_value for test in found.lack_of_fit.values()) < 1e-3
     # Trials would have to differ more than people do.
     assert "the SD over trials of k [RT] sits on its bound of 50 %: trials differ by more, or " in found.remarks[0]
+    assert any("the perturbation explains more of the movement than the linear law" in each for each in found.remarks)
 
 
 class Stopped(Exception):
