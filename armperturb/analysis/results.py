@@ -228,7 +228,8 @@ def parameter_table(frame: pd.DataFrame, *keys: str) -> Table:
     rows = []
     for row in frame.to_dict("records"):
         limits = row["lower_95"], row["upper_95"]
-        interval = plain_limits(*limits) if np.isfinite(limits).all() else "not identifiable"
+        unknown = "not known" if np.isnan(limits).any() else "not identifiable"
+        interval = plain_limits(*limits) if np.isfinite(limits).all() else unknown
         mark = " (bound)" if row["at_bound"] else ""
         keyed = tuple(str(row[key]) for key in keys)
         rows.append((row["parameter"], plain(row["value"]), interval + mark, row["unit"], *keyed))

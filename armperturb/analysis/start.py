@@ -14,6 +14,13 @@ perturbation over it up to which it is [-]."""
 AT_REST = 0.02
 """Distance from zero, and between two samples, over the RMS displacement below which a handle is at rest [-]."""
 
+SLOW = 0.4
+"""Step from the first sample over the RMS of all steps as long, up to which a handle starts from rest [-]: one that the
+whole perturbation sets in motion at once makes steps of up to 0.38."""
+
+BY_NOISE = 4.0
+"""Standard deviations by which noise may add to a step."""
+
 
 def start_at_rest(perturbation: Array, force: Array, displacement: Array, rate: float) -> bool:
     """Whether every trial starts at rest, the handle at zero and under no constant force.
@@ -25,9 +32,14 @@ def start_at_rest(perturbation: Array, force: Array, displacement: Array, rate: 
       rate: of the samples [Hz].
     """
     d, f, x = perturbation, force, displacement
-    rms = np.sqrt(np.mean(x**2, axis=1))
-    place, step = np.abs(x[:, 0]), np.abs(x[:, max(1, round(STEP * rate))] - x[:, 0])
+    rms, apart = np.sqrt(np.mean(x**2, axis=1)), max(1, round(STEP * rate))
+    steps = x[:, apart:] - x[:, :-apart]
+    place, step = np.abs(x[:, 0]), np.abs(steps[:, 0])
+    # A slow movement makes steps that are small beside the way that it goes, but not beside its other steps. Fourth
+    # differences are of noise alone: 70 times its variance; a step has twice that.
+    noise = np.sqrt(np.mean(np.diff(x, 4, axis=1) ** 2, axis=1) * (2.0 / 70.0))
+    is_slow = step <= SLOW * np.sqrt(np.mean(steps**2, axis=1)) + BY_NOISE * noise
     held = np.abs(f[:, 0])
     # A handle at rest exerts on the hand what is exerted on it, where that is not nothing.
     is_held = (held > HELD * f.std(axis=1)) & (np.abs(d[:, 0] - f[:, 0]) < HELD * held)
-    return bool(np.all((place < AT_REST * rms) & (step < AT_REST * rms)) and not is_held.any())
+    return bool(np.all((place < AT_REST * rms) & (step < AT_REST * rms) & is_slow) and not is_held.any())

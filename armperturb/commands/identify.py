@@ -84,7 +84,8 @@ class Identify(Command):
     """Maximum likelihood on whole records (record) or on mean periods (frequency), or the thesis's trial by trial."""
     free: tuple[str, ...] = ()
     """Parameters to estimate in addition, e.g. zeta_act, or (with --fix m=0) i_s=0.05:1 within these bounds; by default
-    within the bounds of human arms."""
+    within the bounds of human arms. Of the nonlinear model, in the position task: Td, fact or both, delay of reflexes
+    and cut-off of the activation, which are 30 ms and 3.5 Hz otherwise."""
     fix: tuple[str, ...] = ()
     """Parameters to hold, e.g. k_h=rigid Td=0.03; the name of a quantity is that of its parameters at all joints."""
     bounds: tuple[str, ...] = ()
@@ -188,6 +189,8 @@ class Identify(Command):
         others = {name: kind for kind, names in of_models.items() if kind not in models for name in names}
         if not {*models} - {*of_models}:
             others |= dict.fromkeys(OF_LINEAR_MODELS, "") if "joint" not in models or len(models) == 1 else {}
+        if "nonlinear" in models:
+            others.pop("free", None)
         for field in fields(self):
             value = getattr(self, field.name)
             if field.name in others and value != field.default:
@@ -376,6 +379,7 @@ class Identify(Command):
                 threads=cpu_count(),
                 emg=emg.envelopes if emg else None,
                 emg_delay=self.emg_delay[0],
+                free=self.free,
             )
         except (ValueError, MissingExtraError):
             if is_new and not any(self.out.iterdir()):

@@ -135,6 +135,7 @@ def test_settings_that_do_not_go_together_are_refused(path, capsys):
         "--estimator", "thesis"
     )
     assert "identify: share = ('mass',); expected () with --model nonlinear" in refused("--share", "mass")
+    assert "free: 'zeta_act'; expected some of Td, fact" in refused("--free", "zeta_act")
     assert "pulses: no pulse in the direction 77 deg; expected some of 20, 200" in refused("--pulses", "77")
     assert "no subject 'S99'; expected one of" in refused("--subject", "S99")
     assert "all pulses come before 45 s, or nothing perturbs the trials before them" in refused("--window-start", "45")

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from armperturb.analysis.fit.maximum_likelihood import SUSPICIOUS
 from armperturb.analysis.nonlinear.checkpoint import digest_of, load_position, save_position
 from armperturb.analysis.nonlinear.draws import (
     Deviations,
@@ -27,7 +28,7 @@ from armperturb.analysis.nonlinear.model import EFFECTS, Model, Parameters, valu
 from armperturb.analysis.nonlinear.noise import NoiseDraws
 from armperturb.analysis.nonlinear.problem import Problem
 from armperturb.analysis.nonlinear.result import NonlinearEstimate, remarks_on
-from armperturb.analysis.nonlinear.search import CONVERGED, MAX_STEPS, Position, Search
+from armperturb.analysis.nonlinear.search import CONVERGED, MAX_STEPS, MOST_SPREAD, Position, Search
 from armperturb.analysis.nonlinear.spindle_emg import EmgInFit, digests
 from armperturb.analysis.nonlinear.start import best_start, start_values
 from armperturb.analysis.trials import ConditionTrials
@@ -40,6 +41,9 @@ N_PAIRS = 6
 
 N_PAIRS_OF_ERRORS = 16
 """Pairs of draws that the variance of the score is simulated with: with 8 trials, errors are then within some 7 %."""
+
+SAME_AMPLITUDE = 1.5
+"""RMS of the largest perturbation over that of the smallest up to which all are of one amplitude [-]."""
 
 AT_BOUND = 1e-3
 """Distance in the coordinate from its bound at which a parameter sits on it [-]."""
@@ -183,12 +187,9 @@ def _estimate(
     """
     parameters, state, names = problem.parameters, position.state, problem.parameters.names
     n = len(state.point)
-    oscillating = problem.limit_cycles(state)
-    if oscillating:
-        message = (
-            f"the arm has a limit cycle (self-sustained oscillation) in {', '.join(oscillating)}; confidence intervals "
-            "are not valid"
-        )
+    invalid = ""
+    if oscillating := problem.limit_cycles(state):
+        invalid = f"the arm has a limit cycle (self-sustained oscillation) in {', '.join(oscillating)}"
     predicted = problem.predict([state])[0]
     answers = problem.slopes(state, noisy=True) if problem.is_noisy else slopes
     variance = problem.information(state, slopes)
@@ -203,12 +204,15 @@ def _estimate(
         if deviations.odd:
             variance = score_variance(problem, state, slopes, deviations)
         else:
-            message = "every noise draw makes the simulation diverge; confidence intervals are not valid"
+            invalid = "every noise draw makes the simulation diverge"
         if not is_borne(problem, state, position.draws):
-            message = "in some trials the arm runs away under the person's noise; confidence intervals are not valid"
+            invalid = "in some trials the arm runs away under the person's noise"
     tested = lack_of_fit(problem, state, predicted, slopes, deviations)
     covariance = (moved @ variance @ moved.T)[:n, :n]
     error = np.sqrt(np.diag(covariance))
+    if invalid:
+        message = f"{invalid}; confidence intervals are not valid"
+        error = np.full_like(error, np.nan)
     near = np.minimum(state.point - parameters.lower, parameters.upper - state.point) < AT_BOUND
     problem.weigh(state, problem.residual(predicted))
     values = {name: value_at(name, at) for name, at in zip(names, state.point, strict=True)}
@@ -216,12 +220,20 @@ def _estimate(
     correlation = covariance / np.outer(error, error)
     at_bound = tuple(name for name, is_near in zip(names, near, strict=True) if is_near)
     remarks = [] if message == CONVERGED else [f"the search did not end at a maximum ({message})"]
-    n_conditions = len({trials.label for trials in problem.sets})
-    if n_conditions < 2 and parameters.model.law != "linear":
-        remarks.append(
-            "all trials have one amplitude: yielding is hard to distinguish from softer muscle, and shear-thinning "
-            "from less damping"
-        )
+    remarks += [
+        f"the SD over trials of {quantity} [{task}] sits on its bound of {100.0 * MOST_SPREAD:.0f} %: "
+        "trials differ by more, or the law is wrong"
+        for (task, quantity), spread in zip(problem.kinds, state.spread, strict=True)
+        if spread >= MOST_SPREAD
+    ]
+    remarks += [
+        f"{label}: the perturbation explains more of the movement than the {parameters.model.law} law does (chi2 / "
+        f"dof = {test.chi2 / test.dof:.2f}, p = {test.p_value:.1g})"
+        for label, test in tested.items()
+        if test.p_value < SUSPICIOUS
+    ]
+    if parameters.model.law != "linear":
+        remarks += _one_amplitude(problem.sets)
     return NonlinearEstimate(
         values=values,
         standard_error={name: value_per_coordinate(name, values[name]) * coordinate_error[name] for name in names},
@@ -237,8 +249,23 @@ def _estimate(
         objective=problem.objective(state, predicted),
         lack_of_fit=tested,
         n_steps=position.n_steps,
-        n_conditions=n_conditions,
+        n_conditions=len({trials.label for trials in problem.sets}),
         state=state,
         noises=tuple(problem.noises),
         strengths=strengths,
     )
+
+
+def _one_amplitude(sets: Sequence[ConditionTrials]) -> list[str]:
+    """A line for each task whose perturbations are all of nearly one size, as what yields is then hard to tell."""
+    tasks = dict.fromkeys(trials.body.task for trials in sets)
+    remarks = []
+    for task in tasks:
+        drives = [trials.drive[:, : trials.end] for trials in sets if trials.body.task == task]
+        sizes = np.concatenate([np.linalg.norm(drive.std(axis=1), axis=1) for drive in drives])
+        if sizes.max() < SAME_AMPLITUDE * sizes.min():
+            remarks.append(
+                f"all trials{f' of {task}' if len(tasks) > 1 else ''} have one amplitude: yielding is hard to "
+                "distinguish from softer muscle, and shear-thinning from less damping"
+            )
+    return remarks

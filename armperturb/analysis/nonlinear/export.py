@@ -6,7 +6,7 @@ from typing import Any
 
 from armperturb.analysis.nonlinear.choice import Gain
 from armperturb.analysis.nonlinear.identify import NonlinearIdentification
-from armperturb.analysis.nonlinear.prediction import median_peak
+from armperturb.analysis.nonlinear.prediction import median_peak, predicted_at_all
 from armperturb.files import finite_or_none, write_csv, written_together
 
 CHECKPOINTS = "checkpoint*.json.gz"
@@ -50,7 +50,11 @@ def fit_summary(result: NonlinearIdentification) -> dict[str, Any]:
             "mechanisms": {name: of_gain(gain) for name, gain in choice.mechanisms.items()},
         },
         "left_out_pulses": {
-            model: {"n": len(pulses), "median_peak_percent": median_peak(pulses)}
+            model: {
+                "n": len(pulses),
+                "n_predicted": len(predicted_at_all(pulses)),
+                "median_peak_percent": median_peak(pulses),
+            }
             for model, pulses in result.pulses.items()
             if pulses
         },

@@ -1,7 +1,7 @@
 """From a recording of one person to the muscle law: fits, choice of the law, and predictions of left-out pulses."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -14,14 +14,22 @@ from armperturb.analysis.cuts import require_two_axes
 from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.emg.envelope import Envelopes
 from armperturb.analysis.nonlinear.choice import Choice, compare_laws
-from armperturb.analysis.nonlinear.estimate import N_PAIRS, N_PAIRS_OF_ERRORS, fit, nearest_arms, require_draws
-from armperturb.analysis.nonlinear.model import Law, Model
+from armperturb.analysis.nonlinear.estimate import (
+    N_PAIRS,
+    N_PAIRS_OF_ERRORS,
+    fit,
+    free_parameters,
+    nearest_arms,
+    require_draws,
+)
+from armperturb.analysis.nonlinear.model import FIXED, Law, Model
 from armperturb.analysis.nonlinear.prediction import PulsePrediction, facts_of, predict_pulses, predict_pulses_linearly
 from armperturb.analysis.nonlinear.result import NonlinearEstimate
 from armperturb.analysis.nonlinear.spindle_emg import usable_emg
 from armperturb.analysis.nonlinear.start import linear_arms
 from armperturb.analysis.nonlinear.trials import cut_remarks, fitted_conditions, training_sets
 from armperturb.analysis.results import Description, Result
+from armperturb.analysis.trials import ConditionTrials
 from armperturb.muscle_law import MuscleLaw
 from armperturb.planar_arm.simulation import load_compiled_arm
 from armperturb.recording import check_recording
@@ -118,6 +126,7 @@ def identify_nonlinear(
     n_pairs: int = N_PAIRS,
     n_pairs_of_errors: int = N_PAIRS_OF_ERRORS,
     parts: int = MuscleLaw.parts,
+    free: Sequence[str] = (),
 ) -> NonlinearIdentification:
     """Fit a muscle law to all trials of one person, started from linear arms, and predict the pulses left out.
 
@@ -135,11 +144,13 @@ def identify_nonlinear(
       n_pairs: pairs of draws of the noise, see `fit`.
       n_pairs_of_errors: pairs of draws from which errors are estimated.
       parts: elasto-plastic parts of each muscle group, see `Model`; another number cannot be used with "choose".
+      free: "Td", "fact" or both, of trials of the position task: delay of reflexes [s] and cut-off of the activation
+        [Hz], which otherwise have the values of `FIXED`; cannot be used with "choose".
 
     Raises:
       TypeError: recording is no `Dataset`, or a number of threads, draws or parts no whole number.
-      ValueError: the recording is refused or cannot be identified, the law is unknown, EMG cannot be used with it, or a
-        number is too small.
+      ValueError: the recording is refused or cannot be identified, the law is unknown, EMG cannot be used with it, a
+        number is too small, or what is to be free has other names or is no parameter of these trials.
       OSError: a checkpoint cannot be written.
       ModuleNotFoundError: numba is not installed.
     """
@@ -149,7 +160,7 @@ def identify_nonlinear(
     require_whole("identify_nonlinear", "threads", threads, at_least=1)
     require_draws("identify_nonlinear", n_pairs, n_pairs_of_errors)
     if law != "choose":
-        Model(law=law, parts=parts)
+        Model(law=law, parts=parts, free=tuple(free))
     if law == "half-wave" and "PT" not in recording["task"].values:
         raise ValueError(
             "law = 'half-wave' of trials without reflexes (task RT); expected trials of the task PT (or --law full)"
@@ -158,6 +169,10 @@ def identify_nonlinear(
         raise ValueError(f"law = {law!r} with EMG; expected full, short-range or linear (or the movement alone)")
     if law == "choose" and parts != MuscleLaw.parts:
         raise ValueError(f"law = 'choose' with parts = {parts!r}; expected a law (or {MuscleLaw.parts} parts)")
+    if law == "choose" and free:
+        raise ValueError(
+            f"law = 'choose' with free = {tuple(free)!r}; expected a law (e.g. --law full), or nothing free"
+        )
     directions = list(pulse_directions_deg)
     sets = fitted_conditions(recording)
     recorded = {float(deg) for trials in sets.values() for deg in trials.direction_deg if not np.isnan(deg)}
@@ -166,24 +181,27 @@ def identify_nonlinear(
             known = ", ".join(f"{deg:g}" for deg in sorted(recorded)) or "none, as there are no pulses"
             raise ValueError(f"pulses: no pulse in the direction {wanted:g} deg; expected some of {known}")
     fitted, left_out = training_sets(sets, directions)
+    if law != "choose":
+        free_parameters(fitted, Model(law=law, free=tuple(free)))
     arms = linear_arms(sets, window_start=window_start, period=period)
     options: dict[str, Any] = dict(
         n_pairs=n_pairs, n_pairs_of_errors=n_pairs_of_errors, progress=progress, threads=threads
     )
     choice = None
     used = usable_emg(sets, arms, emg, emg_delay) if emg else {}
+    freed = tuple(name for name in FIXED if name in free or (used and name == "Td"))
     if law == "choose":
         choice = compare_laws(fitted, arms, left_out, mechanisms=True, checkpoint=folder, **options)
         estimate = choice.estimate
     else:
-        model = Model(law=law, free=("Td",) if used else (), parts=parts)
+        model = Model(law=law, free=freed, parts=parts)
         estimate = fit(fitted, arms, model, emg=used, checkpoint=folder and folder / "checkpoint.json.gz", **options)
-    unused = (
-        ["EMG is not used: the relaxed arm has no reflexes, of which it tells; the movement alone is used"]
-        if emg and not used
-        else []
-    )
-    estimate = replace(estimate, remarks=(*cut_remarks(sets, fitted), *unused, *estimate.remarks))
+    remarks = _of_trials(sets, fitted, arms, freed)
+    if emg and not used:
+        remarks.append(
+            "EMG is not used: the relaxed arm has no reflexes, of which it tells; the movement alone is used"
+        )
+    estimate = replace(estimate, remarks=(*remarks, *estimate.remarks))
     pulses: dict[str, list[PulsePrediction]] = {"nonlinear": [], "linear": [], "skeletal": []}
     everywhere = nearest_arms(list(sets.values()), arms)
     for trials in left_out:
@@ -198,3 +216,36 @@ def identify_nonlinear(
         pulses={model: tuple(predicted) for model, predicted in pulses.items()},
         emg=tuple(used),
     )
+
+
+def _of_trials(
+    sets: Mapping[str, ConditionTrials],
+    fitted: Sequence[ConditionTrials],
+    identified: Iterable[str],
+    freed: Collection[str],
+) -> list[str]:
+    """What trials violate or leave out of what a fit assumes, a line each.
+
+    Args:
+      sets: condition to its trials.
+      fitted: what is fitted of them.
+      identified: conditions that have a linear arm.
+      freed: what is free of `FIXED`.
+    """
+    balances = {label: sets[label].balance.imbalance for label in identified}
+    said = [f"{label}: {imbalance.text}" for label, imbalance in balances.items() if imbalance is not None]
+    said += cut_remarks(sets, fitted)
+    if amid := dict.fromkeys(trials.label for trials in fitted if not trials.from_rest):
+        said.append(
+            f"{', '.join(amid)}: trials start amid the movement, though the law has them start from rest with all "
+            "bonds unstrained: what went before counts as noise, and intervals are wider (record each trial from rest)"
+        )
+    values = {"Td": f"a delay of {1e3 * FIXED['Td']:g} ms", "fact": f"a cut-off of {FIXED['fact']:g} Hz"}
+    assumed = [name for name in values if name not in freed]
+    if assumed and any(trials.body.task == "PT" for trials in fitted):
+        said.append(
+            f"reflexes are assumed to have {' and '.join(values[name] for name in assumed)}; where the person's "
+            "differ, gains and stiffness are off by more than their intervals say "
+            f"(--free {' '.join(assumed)} estimates {'it' if len(assumed) == 1 else 'them'})"
+        )
+    return said

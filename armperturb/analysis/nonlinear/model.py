@@ -68,6 +68,11 @@ def stem(name: str) -> str:
     return name.partition(" ")[0].partition(".")[0]
 
 
+def leveled_condition(name: str) -> str:
+    """Condition of which a parameter is the level, which only the position task has; "" if it is no level."""
+    return name.removeprefix("level.").removesuffix(" [PT]") if stem(name) == "level" else ""
+
+
 def unit(name: str) -> str:
     """Unit of a parameter; "-" if it has none."""
     return _TABLES["units"].get(stem(name)) or structures.unit(stem(name))
@@ -129,13 +134,15 @@ class Model:
         require_number("Model", "parts", self.parts, at_least=1, at_most=MAX_PARTS, whole=True)
         if self.law not in get_args(Law):
             raise ValueError(f"Model: law = {self.law!r}; expected one of {', '.join(get_args(Law))}")
-        for attribute in ("fixed", "free", "tied", "shared"):
+        for name in self.free:
+            if name not in FIXED:
+                raise ValueError(
+                    f"Model: free: {name!r}; expected some of {', '.join(FIXED)}, as all else is free or off"
+                )
+        for attribute in ("fixed", "tied", "shared"):
             for name in getattr(self, attribute):
                 if stem(name) not in BOUNDS:
                     raise ValueError(f"Model: {attribute}: unknown parameter {name!r}; expected {', '.join(BOUNDS)}")
-        for name in self.free:
-            if name not in FIXED:
-                raise ValueError(f"Model: free: {name!r} is free or off already; expected {', '.join(FIXED)}")
 
     def names(self, task: str, conditions: Sequence[str]) -> tuple[str, ...]:
         """All parameters of a person in one task that are not the same for everyone, fixed and tied ones too."""

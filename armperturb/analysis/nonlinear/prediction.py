@@ -133,16 +133,32 @@ def _compared(recorded: ConditionTrials, trials: list[int], ends: Indices, respo
     ]
 
 
+def predicted_at_all(predictions: Sequence[PulsePrediction]) -> list[PulsePrediction]:
+    """Those whose arm does not diverge."""
+    return [pulse for pulse in predictions if np.isfinite(pulse.predicted).all()]
+
+
 def median_peak(predictions: Sequence[PulsePrediction]) -> float:
-    """Median of `PulsePrediction.peak` [%]; NaN of none."""
-    return float(np.median([pulse.peak for pulse in predictions])) if predictions else float("nan")
+    """Median of `PulsePrediction.peak` of those that are predicted [%]; NaN of none."""
+    peaks = [pulse.peak for pulse in predicted_at_all(predictions)]
+    return float(np.median(peaks)) if peaks else float("nan")
 
 
 def facts_of(predictions: Mapping[str, Sequence[PulsePrediction]]) -> tuple[str, ...]:
-    """A line per model, by its name, that predicts some left-out pulses."""
+    """A line per model, by its name, that has left-out pulses to predict."""
     return tuple(
-        f"{len(pulses)} left-out pulses, {name}: median peak {median_peak(pulses):.0f} %, median VAF "
-        f"{np.median([pulse.vaf for pulse in pulses]):.1f} %"
+        f"{len(pulses)} left-out pulses, {name}: {', '.join(_agreement(pulses))}"
         for name, pulses in predictions.items()
         if pulses
     )
+
+
+def _agreement(pulses: Sequence[PulsePrediction]) -> list[str]:
+    """How pulses are predicted, and in how many the arm diverges, which count in no median."""
+    predicted, said = predicted_at_all(pulses), []
+    if predicted:
+        vaf = float(np.median([pulse.vaf for pulse in predicted]))
+        said = [f"median peak {median_peak(predicted):.0f} %", f"median VAF {vaf:.1f} %"]
+    if len(predicted) < len(pulses):
+        said.append(f"{len(pulses) - len(predicted)} of {len(pulses)} not predicted, as the arm diverges")
+    return said

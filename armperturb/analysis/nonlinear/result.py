@@ -11,6 +11,7 @@ from armperturb.analysis.nonlinear.model import (
     Model,
     Parameters,
     coordinate,
+    leveled_condition,
     stem,
     unit,
     value_at,
@@ -83,10 +84,8 @@ class NonlinearEstimate(FitResult):
 
     def place_of(self, name: str) -> tuple[str, str]:
         """Name of a parameter in tables, and the condition in which it holds; "" if it holds in all of its task."""
-        if stem(name) != "level":
-            return name, ""
-        level, _, condition = name.partition(" ")[0].partition(".")
-        return level, condition
+        condition = leveled_condition(name)
+        return ("level", condition) if condition else (name, "")
 
     @property
     def labels(self) -> dict[str, str]:
@@ -106,7 +105,7 @@ class NonlinearEstimate(FitResult):
             title=f"Muscles of {name} in {' and '.join(self.parameters.bodies)}: {self.model.law} law, maximum "
             f"likelihood of raw trials in {self.n_conditions} condition{'' if self.n_conditions == 1 else 's'}",
             facts=(f"{self.message} after {self.n_steps} steps; lack of fit, p: {fits}",),
-            table=parameter_table(self.to_frame()),
+            table=parameter_table(self.to_frame().assign(parameter=list(self.values))),
             remarks=self.remarks,
             details=(
                 f"SD over trials: {spread}",

@@ -9,7 +9,7 @@ from armperturb.analysis.defaults import LINEAR_MODELS, WINDOW_START
 from armperturb.analysis.fit.identify import Identification, identify_conditions
 from armperturb.analysis.fit.maximum_likelihood import Estimate
 from armperturb.analysis.fit.structures import structure_of
-from armperturb.analysis.nonlinear.model import QUANTITIES, Parameters, bounds, coordinate, stem
+from armperturb.analysis.nonlinear.model import QUANTITIES, Parameters, bounds, coordinate, leveled_condition, stem
 from armperturb.analysis.nonlinear.problem import Problem
 from armperturb.analysis.nonlinear.simulated import State
 from armperturb.analysis.response.condition_spectra import periodic_lines
@@ -209,7 +209,7 @@ def _best_levels(problem: Problem, state: State, given: Mapping[str, float]) -> 
         moved[levels] = np.log(level)
         tried.append(_objectives(problem, state._replace(point=moved)))
     for i in levels:
-        of_level = [f"level.{condition}" == names[i].partition(" ")[0] for condition in problem.conditions]
+        of_level = [condition == leveled_condition(names[i]) for condition in problem.conditions]
         best = int(np.argmin([objective[of_level].sum() for objective in tried]))
         if np.isfinite(tried[best][of_level].sum()):
             point[i] = np.log(TRIED_LEVELS[best])

@@ -5,19 +5,21 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from armperturb.analysis.fit.maximum_likelihood import LARGE_LACK, SUSPICIOUS
 from armperturb.analysis.nonlinear.identify import NonlinearIdentification
+from armperturb.analysis.nonlinear.result import NonlinearEstimate
 from armperturb.analysis.page import figures
-from armperturb.analysis.page.data_check import check_data
+from armperturb.analysis.page.data_check import DataCheck, check_data
 from armperturb.analysis.page.page import WORDS, Origin, parameter_rows
-from armperturb.analysis.page.verdict import Verdict
+from armperturb.analysis.page.verdict import Verdict, numbers_of, with_imbalance
 from armperturb.analysis.results import plain
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.files import write_whole
 from armperturb.pages.page import Picture, rendered, versions
 from armperturb.plots.style import new_figure
 
-UNLIKELY = 0.01
-"""Probability of a lack of fit as large as that found, below which the law does not explain a condition [-]."""
+SEVERITY = ("trust", "care", "reject")
+"""Levels of a verdict, the most severe last."""
 
 
 def write_nonlinear_page(
@@ -46,13 +48,11 @@ def write_nonlinear_page(
         result.plot(of_pulses)
         pictures["pulses"] = Picture.of(of_pulses)
     said = [*result.model_facts(), *estimate.remarks]
+    checks = {label: check_data(parts, origin.window_start, origin.period) for label, parts in trials.items()}
     sections: dict[str, dict[str, Any]] = {
         "parameters": {"rows": parameter_rows({"": estimate}, estimate.unit_of), "triples": False, "conditions": [""]},
         "pulses": {},
-        "data": {
-            "checks": {label: check_data(parts, origin.window_start, origin.period) for label, parts in trials.items()},
-            "notes": origin.notes,
-        },
+        "data": {"checks": checks, "notes": origin.notes},
         "traces": {},
         "remarks": {"remarks": said, "causes": {}, "nonlinear": {}},
         "method": {"origin": origin, "licence": metadata.metadata("armperturb")["License-Expression"]},
@@ -66,7 +66,7 @@ def write_nonlinear_page(
         conditions=list(trials),
         description=result.describe(),
         person=next(iter(estimate.parameters.bodies.values())).name,
-        verdicts={"": nonlinear_verdict(result)},
+        verdicts={"": nonlinear_verdict(result, checks)},
         words=WORDS,
         plain=plain,
         versions=versions("armperturb", "numpy", "scipy", "numba", "matplotlib"),
@@ -74,16 +74,33 @@ def write_nonlinear_page(
     write_whole(path, content)
 
 
-def nonlinear_verdict(result: NonlinearIdentification) -> Verdict:
-    """Whether to trust the parameters of a muscle law."""
-    estimate = result.estimate
+def nonlinear_verdict(result: NonlinearIdentification, checks: Mapping[str, DataCheck]) -> Verdict:
+    """Whether to trust the parameters of a muscle law.
+
+    Args:
+      result: of `identify_nonlinear`.
+      checks: condition to the check of its trials.
+    """
+    of_fit = _of_fit(result.estimate)
+    wrong = [check.imbalance for check in checks.values() if check.imbalance is not None]
+    worst_first = sorted(wrong, key=lambda imbalance: -imbalance.bias)
+    counted = [with_imbalance(of_fit, result.estimate, imbalance) for imbalance in worst_first]
+    return max(counted, key=lambda each: SEVERITY.index(each.level), default=of_fit)
+
+
+def _of_fit(estimate: NonlinearEstimate) -> Verdict:
+    """Whether the law explains the movement."""
+    law = estimate.model.law
     if not estimate.converged:
-        return Verdict("care", f"The search did not settle: {estimate.message}.")
-    left = [label for label, test in estimate.lack_of_fit.items() if test.p_value < UNLIKELY]
-    if left:
-        return Verdict(
-            "care",
-            f"In {', '.join(left)} the perturbation explains part of what the {estimate.model.law} law leaves "
-            f"(p below {UNLIKELY:g}): the law is not the whole truth there.",
-        )
-    return Verdict("trust", f"The {estimate.model.law} law leaves nothing that the perturbation explains.")
+        return Verdict("reject", f"The search did not end at an optimum ({estimate.message}).")
+    left = {label: test for label, test in estimate.lack_of_fit.items() if test.p_value < SUSPICIOUS}
+    if not left:
+        return Verdict("trust", f"The {law} law leaves nothing that the perturbation explains.")
+    label, worst = max(left.items(), key=lambda each: each[1].chi2 / each[1].dof)
+    explains = (
+        f"In {', '.join(left)} the perturbation explains part of what the {law} law leaves (in {label}: "
+        f"{numbers_of(worst)})"
+    )
+    if worst.chi2 > LARGE_LACK * worst.dof:
+        return Verdict("reject", f"{explains}: the law is wrong, or the signals are.")
+    return Verdict("care", f"{explains}: the law is not the whole truth there, which intervals do not count.")

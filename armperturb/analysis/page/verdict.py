@@ -17,7 +17,7 @@ from armperturb.analysis.fit.whittle import LackOfFit
 from armperturb.analysis.imbalance import Imbalance, Kind
 from armperturb.analysis.page.data_check import DataCheck
 from armperturb.analysis.response.best_linear import BestLinear
-from armperturb.analysis.results import limits_of, plain
+from armperturb.analysis.results import FitResult, limits_of, plain
 from armperturb.pages.formats import chance
 from armperturb.recording import LABELS
 
@@ -33,7 +33,7 @@ BEYOND, FAR_BEYOND = 2.0, 10.0
 LARGE_BIAS = 0.05
 """Error of the arm's impedance below which parameters that are that far off can still be used with care [-]."""
 
-BODY = ("i_", "m_", "b_", "k_")
+BODY = ("i_", "m_", "b_", "k_", "b.", "k.")
 """How the names of inertia, damping and stiffness start, which are in proportion to the impedance."""
 
 REMEDIES: dict[Kind, str] = {
@@ -88,20 +88,28 @@ def verdict(identification: Identification, bands: Sequence[BandOfLack], imbalan
       imbalance: what is wrong with its signals, which no lack of fit need show; None where nothing is.
     """
     of_fit = _of_fit(identification, bands)
-    errors = 0.0 if imbalance is None else imbalance.bias / _best_known(identification)
-    if imbalance is None or not (errors > BEYOND or math.isfinite(imbalance.delay)):
+    return of_fit if imbalance is None else with_imbalance(of_fit, identification.fit, imbalance)
+
+
+def with_imbalance(of_fit: Verdict, fit: FitResult, imbalance: Imbalance) -> Verdict:
+    """Whether to trust parameters from signals of which something is wrong, see `verdict`.
+
+    Args:
+      of_fit: whether to trust the fit, were the signals right.
+      fit: the parameters.
+      imbalance: what is wrong with the signals.
+    """
+    errors = imbalance.bias / _best_known(fit)
+    if not (errors > BEYOND or math.isfinite(imbalance.delay)):
         return of_fit
     is_far = errors > FAR_BEYOND and imbalance.bias > LARGE_BIAS
     wrong = f"{imbalance.text[0].upper()}{imbalance.text[1:]}"
-    return Verdict(
-        "reject" if is_far or of_fit.level == "reject" else "care",
-        f"{wrong}, {errors:.2g} standard errors of the best-known parameter. {of_fit.text}",
-    )
+    by = f", {errors:.2g} standard errors of the best-known parameter" if errors else ""  # no intervals, no errors
+    return Verdict("reject" if is_far or of_fit.level == "reject" else "care", f"{wrong}{by}. {of_fit.text}")
 
 
-def _best_known(identification: Identification) -> float:
-    """Smallest relative standard error of inertia, damping and stiffness [-]."""
-    fit = identification.fit
+def _best_known(fit: FitResult) -> float:
+    """Smallest relative standard error of inertia, damping and stiffness [-]; infinite if none is known."""
     errors = (
         fit.standard_error[name] / abs(value) for name, value in fit.values.items() if name.startswith(BODY) and value
     )

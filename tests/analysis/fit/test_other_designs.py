@@ -139,6 +139,29 @@ def test_a_start_amid_the_movement_is_none_at_rest_at_any_rate():
         assert not relabelled(signals, amid, rate).from_rest
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-5, 2e-5])
+@pytest.mark.parametrize("seconds", [0.0, 1.0])
+def test_a_start_at_rest_is_one_whatever_the_force_and_the_noise(noise, seconds):
+    amid, rng = recorded(4, 12.0), np.random.default_rng(2)
+    force = np.stack([multisine(rng, 12.0) for _ in range(4)])
+    force *= np.clip(np.arange(force.shape[1]) / (seconds * RATE or 1.0), seconds == 0.0, 1.0)[:, None]
+    response = simulate_linear(RELAXED, ENVIRONMENT, force, RATE)
+    path = response.displacement + noise * rng.standard_normal(force.shape)
+    path -= path[:, :1]
+    assert relabelled({"perturbation": force, "force": response.force, "displacement": path}, amid, RATE).from_rest
+
+
+def test_a_slow_movement_is_no_rest():
+    amid, rng = recorded(2, 12.0), np.random.default_rng(0)
+    soft = replace(RELAXED, k_s=10.0, k_se=2.0, k_e=7.0, b_h=60.0, kv_s=0.0, kv_e=0.0)
+    force = np.stack([multisine(rng, 20.0) for _ in range(2)])
+    response = simulate_linear(soft, Environment(m_env=2.0, b_env=15.0, k_env=0.0), force, RATE)
+    later = slice(-round(12.0 * RATE), None)
+    signals = {"perturbation": force[:, later], "force": response.force[:, later]}
+    path = response.displacement[:, later]
+    assert not relabelled(signals | {"displacement": path - path[:, :1]}, amid, RATE).from_rest
+
+
 def test_a_start_at_rest_under_a_constant_force_is_none_from_nothing():
     amid, force = recorded(1, 12.0), multisine(np.random.default_rng(0), 12.0)
     force *= np.minimum(np.arange(len(force)) / RATE, 1.0)[:, None]

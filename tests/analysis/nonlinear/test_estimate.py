@@ -19,7 +19,7 @@ from armperturb.analysis.nonlinear.draws import (
 from armperturb.analysis.nonlinear.estimate import fit, free_parameters, nearest_arms
 from armperturb.analysis.nonlinear.model import Model, coordinate, true_values
 from armperturb.analysis.nonlinear.noise import NoiseDraws
-from armperturb.analysis.nonlinear.prediction import predict_pulses, predict_pulses_linearly
+from armperturb.analysis.nonlinear.prediction import facts_of, predict_pulses, predict_pulses_linearly
 from armperturb.analysis.nonlinear.problem import Normal, Problem
 from armperturb.analysis.nonlinear.result import remarks_on
 from armperturb.analysis.nonlinear.simulated import State
@@ -153,6 +153,9 @@ def test_a_wrong_law_leaves_a_lack_of_fit(noisy):
     fixed = {name: value for name, value in FEW.fixed.items() if name in ("m_h", "m_f", "k_h", "b_h")}
     found = fit(noisy, ARMS, Model(law="linear", fixed=fixed), n_pairs=0)
     assert min(test.p_value for test in found.lack_of_fit.values()) < 1e-3
+    # Trials would have to differ more than people do.
+    assert "the SD over trials of k [RT] sits on its bound of 50 %: trials differ by more, or " in found.remarks[0]
+    assert any("the perturbation explains more of the movement than the linear law" in each for each in found.remarks)
 
 
 class Stopped(Exception):
@@ -186,10 +189,15 @@ def test_a_search_that_was_stopped_goes_on_to_the_same_result(noisy, tmp_path):
     assert found.coordinate_error == pytest.approx(expected.coordinate_error, rel=1e-6)
 
 
-@pytest.mark.slow(reason="fits eight simulated trials")
-def test_one_amplitude_is_said_to_tell_little(noisy):
-    found = fit([noisy[1].take([0])], ARMS, FEW, n_pairs=0)
-    assert any("all trials have one amplitude" in remark for remark in found.remarks)
+@pytest.mark.slow(reason="fits simulated trials")
+@pytest.mark.parametrize(("amplitudes", "names"), [((1, 1), "AB"), ((0, 1), "AA")])
+def test_one_amplitude_is_said_to_tell_little_whatever_conditions_are_called(noisy, amplitudes, names):
+    sets = [
+        replace(trials, recording=trials.recording.assign_coords(condition=("trial", [name])))
+        for trials, name in zip((noisy[k].take([k]) for k in amplitudes), names, strict=True)
+    ]
+    found = fit(sets, dict.fromkeys(names, ARM), FEW, n_pairs=0, max_steps=1)
+    assert any("all trials have one amplitude" in remark for remark in found.remarks) == (amplitudes == (1, 1))
 
 
 @pytest.mark.parametrize(
@@ -305,6 +313,13 @@ def test_pulses_of_the_true_person_are_predicted_and_those_of_a_linear_arm_are_n
     assert max(linear.vaf, skeletal.vaf) < 95.0
     assert not np.allclose(linear.predicted, skeletal.predicted, rtol=0.01)
     assert predict_pulses(recorded.before(600), PERSON) == []  # the window is not recorded
+    # Of arms that diverge nothing is predicted, which the medians of the others do not count.
+    diverged = replace(linear, predicted=np.full_like(linear.predicted, np.nan))
+    assert facts_of({"A": [itself, diverged], "B": [diverged], "C": []}) == (
+        f"2 left-out pulses, A: median peak {itself.peak:.0f} %, median VAF {itself.vaf:.1f} %, 1 of 2 not "
+        "predicted, as the arm diverges",
+        "1 left-out pulses, B: 1 of 1 not predicted, as the arm diverges",
+    )
 
 
 @pytest.mark.slow(reason="five fits")
@@ -418,12 +433,12 @@ def test_pulses_alone_start_from_the_level_that_answers_them(level):
     multisine = made.trial_set(made.record(POSITION, [made.push(1, 1.5, 6.0)], condition="PT7.5"))
     force = np.zeros((600, 2))
     force[100:112] = 12.0, 6.0
-    pulse = made.trial_set(made.record(at_level(POSITION, level), [force], condition="PT0"))
+    pulse = made.trial_set(made.record(at_level(POSITION, level), [force], condition="PT 0"))
     problem = position_problem([multisine, pulse], **fixed)
-    assert problem.parameters.names == ["level.PT0"]
+    assert problem.parameters.names == ["level.PT 0"]
     start = best_start(problem, np.zeros(1), {})
     assert np.exp(start.point) == pytest.approx([level], rel=0.15)
-    assert best_start(problem, np.log([0.8]), {"level.PT0": 0.8}).point == pytest.approx(np.log([0.8]))
+    assert best_start(problem, np.log([0.8]), {"level.PT 0": 0.8}).point == pytest.approx(np.log([0.8]))
 
 
 @pytest.mark.slow(reason="fits")
@@ -440,6 +455,10 @@ def test_a_limit_cycle_is_found_and_invalidates_a_fit(noisy, monkeypatch):
     found = fit(noisy[:1], ARMS, FEW, n_pairs=0, max_steps=1)
     assert not found.converged
     assert "the arm has a limit cycle (self-sustained oscillation) in RT7.5" in found.remarks[0]
+    # What is not valid is not printed, and says nothing of other parameters.
+    assert np.isnan([*found.interval(FREE[0]), found.standard_error[FREE[0]]]).all()
+    assert "not known" in found.summary()
+    assert not any("determined" in remark or "identifiable" in remark for remark in found.remarks)
 
 
 @pytest.mark.slow(reason="fits eight trials")
@@ -450,7 +469,11 @@ def test_a_result_reads_as_a_table(noisy_fit):
     row = frame.iloc[2]
     assert (row["unit"], row["condition"], row["at_bound"]) == ("deg", "", False)
     assert (row["lower_95"], row["upper_95"]) == noisy_fit.interval(FREE[2])
-    assert noisy_fit.place_of("level.PT22.5") == ("level", "PT22.5")
+    assert noisy_fit.place_of("level.PT22.5 [PT]") == ("level", "PT22.5")
+    of_two = {"level.B mid": 0.9, "level.C high": 0.8}
+    leveled = replace(noisy_fit, values=of_two, standard_error=of_two, coordinate_error=of_two)
+    assert [row[0] for row in leveled.describe().table.rows] == list(of_two)
+    assert leveled.to_frame()["condition"].tolist() == ["B mid", "C high"]
     lines = repr(noisy_fit).splitlines()
     assert lines[0].startswith(f"Muscles of {PERSON.name} in RT: full law, maximum likelihood of raw trials in 2 ")
     assert len(lines) <= 25

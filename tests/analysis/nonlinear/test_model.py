@@ -136,7 +136,7 @@ def test_what_is_fixed_at_a_point_has_its_values_there():
         ({"law": "hill"}, "law = 'hill'; expected one of linear, short-range, full"),
         ({"fixed": {"stiffness": 1.0}}, f"fixed: unknown parameter 'stiffness'; expected {', '.join(BOUNDS)}"),
         ({"shared": ("mass",)}, "shared: unknown parameter 'mass'"),
-        ({"free": ("k",)}, "free: 'k' is free or off already; expected Td, fact"),
+        ({"free": ("k",)}, "free: 'k'; expected some of Td, fact, as all else is free or off"),
     ],
 )
 def test_names_that_are_none_are_refused(options, message):
