@@ -90,7 +90,7 @@ class Spectra:
 
     Attributes:
       frequency: centres of bins [Hz], (bin,).
-      power: mean within each bin, (trial, muscle, bin).
+      power: mean within each bin, without hum, (trial, muscle, bin).
       below: power below the band over that in it, (trial, muscle).
       hum: column to the frequencies of the mains in it [Hz].
     """
@@ -125,15 +125,28 @@ class Spectra:
                     transformed = fft.rfft(part - mean, n_padded)
                     density += transformed.real**2 + transformed.imag**2
                 density /= n_parts
-                total[column] += density
+                # Relative to the trial, as hum that strong contractions hide counts where the muscle is quiet.
+                total[column] += density / max(density.mean(), np.finfo(np.float32).tiny)
                 power[trial, column] = np.add.reduceat(density, starts) / sizes
+        centre = np.add.reduceat(frequency, starts) / sizes
         for column, mean in enumerate(total / len(volts)):
             if lines := hum_lines(mean, frequency, mains):
                 hum[column] = lines
-        centre = np.add.reduceat(frequency, starts) / sizes
+                _bridge(power[:, column], centre, lines)
         is_below = centre < 0.75 * low
         below = power[..., is_below].sum(axis=-1) / np.maximum(power[..., ~is_below].sum(axis=-1), 1e-30)
         return cls(frequency=centre, power=power, below=below, hum=hum)
+
+
+def _bridge(power: Array, frequency: Array, lines: Sequence[float]) -> None:
+    """Replace the bins about lines of hum by what is between their neighbours, in place, (trial, bin).
+
+    The filter cuts hum out of the signal, so that spectra with it would be those of another signal.
+    """
+    is_near = np.any(np.abs(frequency - np.array(lines)[:, None]) < RESOLUTION, axis=0)
+    for of_trial in power:
+        logarithm = np.log(np.maximum(of_trial[~is_near], np.finfo(float).tiny))
+        of_trial[is_near] = np.exp(np.interp(frequency[is_near], frequency[~is_near], logarithm))
 
 
 def parts_of(n_samples: int) -> int:

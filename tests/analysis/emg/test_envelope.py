@@ -167,6 +167,22 @@ def test_what_is_wrong_with_a_channel_is_named_with_its_time(spoil, message):
     assert remarks[0].startswith(message)
 
 
+def test_hum_changes_no_amplitude():
+    hum = np.sin(2 * np.pi * 50.0 * TIME)
+    volts = 0.3 * noise((3, 2, N))
+    quiet, humming = (envelopes(recorded(each)).to_frame()["amplitude_V"] for each in (volts, volts + hum))
+    np.testing.assert_allclose(humming, quiet, rtol=0.02)
+
+
+def test_hum_that_contractions_hide_is_cut_out_of_what_is_relaxed():
+    volts = np.array([1.0, 0.0, 0.0, 0.0])[:, None, None] * noise((4, 2, N))
+    volts += 5e-3 * np.random.default_rng(1).standard_normal(volts.shape) + 5e-3 * np.sin(2 * np.pi * 50.0 * TIME)
+    result = envelopes(recorded(volts, ["MVC", *["RT7.5"] * 3]))
+    assert list(result.hum) == ["flexor", "extensor"]
+    relaxed = result.to_frame().set_index("condition").loc["RT7.5", "amplitude"]
+    assert (relaxed < 0.0015).all()  # of the hum alone it is 0.0035
+
+
 def test_sound_channels_are_not_suspected(modulated):
     assert envelopes(modulated).remarks == ()
 
