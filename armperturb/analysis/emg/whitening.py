@@ -28,6 +28,9 @@ EDGE_ORDER = 4
 WHITE = 0.1
 """Mean square deviation of a spectrum from a flat one, over its square, below which it is white [-]."""
 
+STRONG = 10.0
+"""Power over that of the quietest trial from which on a trial is of the muscle, whatever the noise [-]."""
+
 REWEIGHTED = 3
 """Times that the parts of a spectrum are estimated, each with the weights of the estimate before."""
 
@@ -173,11 +176,11 @@ def band_power(frequency: Array, low: float, high: float) -> Array:
 
 
 def noise_spectra(spectra: Spectra, band: tuple[float, float], is_rest: NDArray[np.bool_]) -> Array:
-    """Power spectrum of each channel when its muscle is silent, (muscle, bin).
+    """Power spectrum of each channel when its muscle is silent, (muscle, bin); NaN where nothing tells it.
 
     That of the trials at rest. Without any, nobody says that a muscle was ever silent: unless the spectrum of the
     quietest trial is white, it is taken for a sum of white noise and of the mean spectrum of all trials, which is that
-    of the muscle, and the noise is what is white.
+    of the muscle, and the noise is what is white. Where all strong trials are white as well, whiteness tells nothing.
 
     Args:
       spectra: of the trials.
@@ -196,8 +199,9 @@ def noise_spectra(spectra: Spectra, band: tuple[float, float], is_rest: NDArray[
         quietest = spectra.power[alive[np.argmin(loud[alive])], column, inside]
         muscle = np.mean(spectra.power[:, column, inside], axis=0)
         level = quietest.mean()
-        if np.mean((quietest / level - 1.0) ** 2) < WHITE:
-            noise[column] = level
+        if _is_white(quietest):
+            strong = spectra.power[loud > STRONG * loud[alive].min(), column][:, inside]
+            noise[column] = np.nan if len(strong) and all(map(_is_white, strong)) else level
             continue
         expected = np.maximum(quietest, 1e-12 * quietest.max())
         for _ in range(REWEIGHTED):  # weights that are the data's own would favour what is low by chance
@@ -209,6 +213,10 @@ def noise_spectra(spectra: Spectra, band: tuple[float, float], is_rest: NDArray[
         taken = np.interp(parts[0], [0.0, ALIKE, 1.0], [0.0, ALIKE, 0.0])
         noise[column] = parts[1] / (1.0 - taken)
     return noise
+
+
+def _is_white(spectrum: Array) -> bool:
+    return bool(np.mean((spectrum / spectrum.mean() - 1.0) ** 2) < WHITE)
 
 
 def whitening(

@@ -199,17 +199,34 @@ def test_unknown_muscles_are_named():
     assert remarks == ("EMG of soleus: nobody says what the muscle does; expected signals.emg.muscles in the sidecar",)
 
 
+def low_passed(emg, cutoff):
+    sos = signal.butter(4, cutoff, fs=EMG_RATE, output="sos")
+    return emg.copy(data=signal.sosfiltfilt(sos, emg.values, axis=1).astype(np.float32))
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         (lambda r: r.drop_vars(["emg"]), "EMG is missing: the recording has no variable 'emg'"),
         (lambda r: r.assign_attrs(emg_rate=1000.0), "it lasts 20 s at emg_rate = 1000 Hz, the other signals 10 s"),
         (lambda r: r.assign(emg=r["emg"] * 0.0), "all channels are zero; expected voltages"),
+        (lambda r: r.assign(emg=abs(r["emg"])), "that of flexor, extensor is nowhere below zero, as if rectified"),
+        (lambda r: r.assign(emg=low_passed(abs(r["emg"]), 6.0)), "that of flexor, extensor is nowhere below zero"),
+        (lambda r: r.assign(emg=low_passed(abs(r["emg"]), 30.0)), "that of flexor, extensor is nowhere below zero"),
     ],
 )
 def test_emg_that_cannot_be_used_is_refused_in_one_line(modulated, change, message):
     with pytest.raises(ValueError, match=message):
         envelopes(change(modulated))
+
+
+def test_an_offset_of_the_amplifier_is_no_rectification(modulated):
+    shifted = modulated.assign(emg=modulated["emg"] - modulated["emg"].min())
+    found = [envelopes(each).to_frame()["amplitude_V"] for each in (modulated, shifted)]
+    np.testing.assert_allclose(*found, rtol=1e-3, atol=FLOOR)
+    drift = np.sin(2 * np.pi * 0.3 * TIME)[:, None].astype(np.float32)
+    drifting = envelopes(modulated.assign(emg=modulated["emg"] + 20.0 + drift)).to_frame()["amplitude_V"]
+    np.testing.assert_allclose(drifting[:2], found[0][:2], rtol=0.1)
 
 
 def test_a_result_describes_itself_and_becomes_tables(modulated):

@@ -71,6 +71,7 @@ def of_amplitude(amplitude, labels):
         power=amplitude**2,
         rectified=amplitude.astype(np.float32),
         noise=np.zeros(n),
+        knows_noise=np.ones(n, dtype=bool),
         reference="RT7.5",
         reference_volts=np.ones(n),
         averaging=0.01,
