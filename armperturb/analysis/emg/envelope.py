@@ -350,13 +350,15 @@ def envelopes(
     spectra = Spectra.of(volts, rate, low, mains)
     require_raw(volts, spectra.below, names)
     noise = noise_spectra(spectra, (low, high), conditions == rest)
-    is_unknown, noise = np.isnan(noise).any(axis=1), np.nan_to_num(noise)
+    knows_noise, noise = np.isfinite(noise).all(axis=-1), np.nan_to_num(noise)
     filtered = whitening(
         spectra, noise, volts.shape[1], rate, (low, high), highpass=emg_highpass(recording), whiten=whiten
     )
     half, n_time = 1.0 / mechanical, recording.sizes["time"]
-    # The other signals, which are late by the lead, show at a time what the EMG showed before it.
+    # The other signals, which are late by the lead, show at a time what the EMG showed before it. What the lead leaves
+    # of a trial without EMG is as its end.
     centre = np.arange(n_time) / mechanical - float(recording["emg"].attrs.get("lead", 0.0))
+    centre = np.clip(centre, 0.0, volts.shape[1] / rate)
     intervals = Intervals(volts.shape[1], rate, centre - half, centre + half)
     power = np.empty((len(volts), n_time, len(names)))
     rectified = np.empty(power.shape, dtype=np.float32)
@@ -389,7 +391,7 @@ def envelopes(
         power=power,
         rectified=rectified,
         noise=filtered.noise / above,
-        knows_noise=~is_unknown,
+        knows_noise=np.asarray(knows_noise),
         reference=reference,
         reference_volts=np.sqrt(above / filtered.gain),
         averaging=2.0 * half,

@@ -124,7 +124,7 @@ def test_a_muscle_that_no_condition_makes_active_is_not_tested():
     ("level", "says"), [(0.1, "Nothing is known"), (0.01, "In the relax task, no muscle of A was")]
 )
 def test_emg_whose_spectrum_is_white_does_not_pass_for_noise(level, says):
-    """Of a muscle that is always active; that it is relaxed is known if noise and muscle together are below the limit."""
+    """Of a muscle that is always active. That it is relaxed is known if noise and muscle are below the limit."""
     volts = np.append(1.0, np.full(3, level))[:, None, None] * np.random.default_rng(0).standard_normal((4, 2, N))
     amplitudes = envelopes(recorded(volts, ["MVC", *["RT7.5"] * 3]))
     result = activity(amplitudes)
