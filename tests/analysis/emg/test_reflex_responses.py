@@ -100,6 +100,20 @@ def test_gains_have_the_sign_and_size_of_each_muscle(result):
         assert abs(row["velocity_e"]) < 4.0 * row["velocity_e_error"]
 
 
+def test_muscles_that_answer_to_shortening_are_named(recording, amplitudes, result):
+    assert result.remarks == ()
+    swapped = replace(amplitudes, muscles={name: Action("s", -each.sign) for name, each in amplitudes.muscles.items()})
+    trials = ConditionTrials.prepare(recording)
+    (said,) = reflexes(trials, swapped, window_start=1.0).remarks
+    assert said.startswith(
+        "EMG of flexor, extensor in RT7.5 answers to shortening: flexors that are named as extensors"
+    )
+    assert said in replace(result, remarks=(said,)).summary()
+    # Where nothing perturbs the arm, activity may come first.
+    still = recording.assign(perturbation=0.0 * recording["perturbation"])
+    assert reflexes(ConditionTrials.prepare(still), swapped, window_start=1.0).remarks == ()
+
+
 def test_response_without_a_model_is_that_of_the_filter(result):
     s = 2j * np.pi * result.frequency
     true = (VELOCITY * s + POSITION) * np.exp(-s * DELAY)
