@@ -18,10 +18,10 @@ there is one, which joint moves. Along `trial` lie the coordinates of `TRIAL_COO
 of the dataset, and `emg_rate` [Hz] where there is EMG; every variable has its `units`. Muscles that are not among
 `MUSCLES` may say what they move in the coordinates `muscle_joints` ("s", "e" or "se") and `muscle_sign` (1 flexes, -1
 extends, 0 unknown). If the other signals pass a filter that the EMG does not, its attribute `lead` [s] is the delay of
-that filter. If they are known, its attributes `highpass` [Hz] and `highpass_order` are those of its amplifier. On disk
-it is netCDF4. EMG is in single precision in memory; if its attribute `adc_step` [V] says so, it holds whole numbers of
-that step, and the file holds the 16-bit counts with the step as `scale_factor` (CF packing, which readers of netCDF
-undo).
+that filter; it is negative of EMG that is late. If they are known, its attributes `highpass` [Hz] and `highpass_order`
+are those of its amplifier. On disk it is netCDF4. EMG is in single precision in memory; if its attribute `adc_step` [V]
+says so, it holds whole numbers of that step, and the file holds the 16-bit counts with the step as `scale_factor` (CF
+packing, which readers of netCDF undo).
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -69,7 +69,7 @@ MUSCLES: tuple[str, ...] = tuple(ACTIONS)
 JOINTS_OF_MUSCLES = ("s", "e", "se", "")
 
 LONGEST_LEAD = 0.1
-"""Largest delay that filters of the other signals may have against the EMG [s]."""
+"""Largest delay that the other signals may have against the EMG, or the EMG against these [s]."""
 
 LARGEST_HIGHPASS = HighPass(500.0, 8)
 """Largest cut-off and order of an EMG amplifier's high-pass."""
@@ -156,7 +156,8 @@ def make_recording(
       rate: sampling rate [Hz].
       emg_rate: sampling rate of the EMG [Hz], if there is any.
       adc_step: voltage of which the EMG holds whole numbers [V]; None if it holds any number.
-      emg_lead: delay of the filter that the other signals pass and the EMG does not [s].
+      emg_lead: by how much the other signals are later than the EMG, as by the delay of a filter; negative where the
+        EMG is later, as if sent by radio [s].
       emg_highpass: of the EMG's amplifier; None if nobody knows it.
       muscles: names of the EMG's columns, and what each does; those of `ACTIONS` if None.
       servo: what the device of a recording of one axis does, of `SERVOS`; None with two axes.
@@ -338,8 +339,8 @@ def _check_muscles(recording: xr.Dataset, source: str) -> None:
                 "se or none, and sign 1 (flexes), -1 (extends) or 0"
             )
     lead = recording["emg"].attrs.get("lead", 0.0)
-    if not isinstance(lead, (int, float, np.number)) or not 0.0 <= lead <= LONGEST_LEAD:
-        raise ValueError(f"{source}: lead of emg = {lead!r}; expected 0 to {LONGEST_LEAD:g} s")
+    if not isinstance(lead, (int, float, np.number)) or not -LONGEST_LEAD <= lead <= LONGEST_LEAD:
+        raise ValueError(f"{source}: lead of emg = {lead!r}; expected {-LONGEST_LEAD:g} to {LONGEST_LEAD:g} s")
     emg_highpass(recording, source)
 
 

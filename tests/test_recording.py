@@ -271,12 +271,12 @@ def test_muscles_of_any_name_are_kept_with_what_they_do(whole_recording, tmp_pat
     signals = {name: whole_recording[name].values for name in REQUIRED_SIGNALS}
     signals["emg"] = whole_recording["emg"].values[..., :3]
     made = make_recording(
-        signals, labels, 200.0, emg_rate=2000.0, muscles=actions, emg_lead=5e-3, emg_highpass=(30.0, 4)
+        signals, labels, 200.0, emg_rate=2000.0, muscles=actions, emg_lead=-5e-3, emg_highpass=(30.0, 4)
     )
     save_recording(made, tmp_path / "r.nc")
     loaded = load_recording(tmp_path / "r.nc")
     assert muscle_actions(loaded) == actions
-    assert loaded["emg"].attrs["lead"] == 5e-3
+    assert loaded["emg"].attrs["lead"] == -5e-3
     assert emg_highpass(loaded) == (30.0, 4)
 
 

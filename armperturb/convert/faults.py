@@ -83,7 +83,7 @@ class Timed:
       rates: name to sampling rate [Hz].
       components: name to what its components are called in the file.
       muscles: of the EMG, and what each does; None for those that recordings have anyway.
-      emg_lead: delay of filters that the other signals pass and the EMG does not [s].
+      emg_lead: by how much the other signals are later than the EMG; negative where that is later [s].
       emg_highpass: of the EMG's amplifier; None if nobody knows it.
       units: name to its SI unit.
       servo: what the device of a recording of one axis does; None with two axes.

@@ -79,7 +79,7 @@ class Signal:
       start: handle's start in the file's unit and axes, (component,), or "first".
       rate: sampling rate of this signal, if it is not that of the others [Hz].
       file: name of the text file beside the sidecar that holds it, if it is not that of the others.
-      lead: of EMG: delay of filters that the other signals pass and it does not [s].
+      lead: of EMG: by how much the other signals are later than it; negative where it is later [s].
       highpass: of EMG: that of its amplifier; None if nobody knows it.
       muscles: of EMG: what each muscle does.
     """
@@ -340,7 +340,7 @@ def _lead(fields: Fields) -> float:
     if "lead" not in fields:
         return 0.0
     lead = quantity(fields["lead"], "s", fields.where("lead"))
-    require_number(fields.file, fields.place_of("lead"), lead, at_least=0.0, at_most=LONGEST_LEAD)
+    require_number(fields.file, fields.place_of("lead"), lead, at_least=-LONGEST_LEAD, at_most=LONGEST_LEAD)
     return lead
 
 

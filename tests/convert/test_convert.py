@@ -762,7 +762,7 @@ def test_exported_and_read_back_a_recording_is_the_same(tmp_path, ending):
     labels = {name: [value] * N_TRIALS for name, value in LABELS.items()} | {"repetition": [0, 1], "order": [4, 2]}
     labels |= {"pulse_level": [0.0, 1.0], "pulse_direction": [np.nan, 20.0], "pulse_onset": [np.nan, 4.0]}
     labels |= {"limit_time": [np.nan] * 2}
-    recording = make_recording(signals, labels, RATE, emg_rate=3 * RATE, emg_lead=2e-3, emg_highpass=HighPass(20.0, 2))
+    recording = make_recording(signals, labels, RATE, emg_rate=3 * RATE, emg_lead=-2e-3, emg_highpass=HighPass(20.0, 2))
     recording.attrs["repairs"] = "a gap: repaired\nall are cut to the shortest"
     export_recording(recording, tmp_path / f"r.{ending}")
     found, notes = import_recording([tmp_path / f"r.{ending}"])
@@ -771,7 +771,7 @@ def test_exported_and_read_back_a_recording_is_the_same(tmp_path, ending):
     for name in (*recording.data_vars, *recording.coords):
         np.testing.assert_array_equal(found[name].values, recording[name].values)
     said = ("lead", "highpass", "highpass_order")
-    assert [found["emg"].attrs[name] for name in said] == [2e-3, 20.0, 2]
+    assert [found["emg"].attrs[name] for name in said] == [-2e-3, 20.0, 2]
     if ending == "csv":  # the trials of both files must be the same
         text = (tmp_path / "r_emg.csv").read_text().replace("\n2,", "\n3,")
         (tmp_path / "r_emg.csv").write_text(text)

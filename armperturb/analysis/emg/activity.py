@@ -11,7 +11,7 @@ import pandas as pd
 from scipy import stats
 
 from armperturb.analysis.emg.cocontraction import cocontraction
-from armperturb.analysis.emg.envelope import Envelopes, mean_known
+from armperturb.analysis.emg.envelope import NO_NOISE, Envelopes, mean_known
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.arrays import Array
 from armperturb.validation import require_type
@@ -57,10 +57,11 @@ class Activity(Result):
       levels: one row per condition, part of the trials ("before" or "during" the perturbation) and muscle: mean
         `amplitude` over the reference's, one-sided `lower_95` limit, number of trials in which the channel is not dead,
         `p` of the hypothesis that the muscle is relaxed, adjusted for the number of muscles (Holm), and `is_active`.
-        NaN, and not active, where nothing is known; p alone where `Envelopes.tells_relaxation` is False.
+        NaN, and not active, where nothing is known; p alone where `Envelopes.tells_activity` is False, or where it
+        may be the unknown noise of the channel that is above the limit.
       cocontraction: one row per condition, part and joint: `index`, the mean over time of the lesser of the amplitudes
         of its flexors and extensors, and `ratio`, the same over the mean of both (Falconer & Winter 1985, Electromyogr.
-        Clin. Neurophysiol. 25). None where it is known of no muscle whether it is relaxed.
+        Clin. Neurophysiol. 25). None where `Envelopes.tells_activity` is False of all muscles.
       remarks: of the channels, and muscles of which that is not known.
     """
 
@@ -138,7 +139,7 @@ def activity(envelopes: Envelopes, limit: float | None = None) -> Activity:
         limit = RELAXED if envelopes.is_normalised else RELAXED_OF_LOUDEST
     rate, labels, names = envelopes.rate, envelopes.labels, list(envelopes.muscles)
     levels, indices = [], []
-    tells = envelopes.tells_relaxation
+    tells = envelopes.tells_activity
     for condition in _in_order(labels):
         trials = np.flatnonzero(labels["condition"] == condition).tolist()
         for part in PARTS:
@@ -194,8 +195,8 @@ def _active_words(levels: pd.DataFrame) -> str:
 
 
 def _unknown(envelopes: Envelopes) -> tuple[str, ...]:
-    """Of which muscles it is not known whether they are relaxed, in a line; none if it is of all."""
-    is_unknown = ~envelopes.tells_relaxation
+    """Of which muscles it is not known what their amplitudes are relative to, in a line; none if it is of all."""
+    is_unknown = ~envelopes.tells_activity
     names = [name for name, unknown in zip(envelopes.muscles, is_unknown, strict=True) if unknown]
     whom = "all muscles" if is_unknown.all() else ", ".join(names)
     return (f"EMG of {whom}: nothing is known of relaxation; {NONE_ACTIVE}",) if names else ()
@@ -237,7 +238,8 @@ def _tested(
     error = np.sqrt(variance / np.maximum(n, 1))
     p = stats.t.sf((mean - limit**2) / np.maximum(error, 1e-300), dof)
     adjusted = np.full(len(p), math.nan)
-    is_tested = (n > 0) & envelopes.tells_relaxation
+    # An amplitude that contains the noise tells only that a muscle is relaxed.
+    is_tested = (n > 0) & envelopes.tells_activity & (envelopes.knows_noise | (mean <= limit**2))
     adjusted[is_tested] = holm(p[is_tested])
     lower = mean - stats.t.ppf(0.95, dof) * error
     amplitude, least = (np.sqrt(np.maximum(each, 0.0)) for each in (mean, lower))
@@ -273,7 +275,7 @@ def relaxation_sentence(people: Iterable[Activity], conditions: Iterable[str], t
         return f"Nothing is known of relaxation: no EMG in the {task}."
     known = [person for person, levels in there if levels["p"].notna().any()]
     if not known:
-        return f"Nothing is known of relaxation: {NONE_ACTIVE}."
+        return f"Nothing is known of relaxation: {_why([person for person, _ in there])}."
     active = {
         person.subject: [name for name in wanted if person.active_muscles(name)]
         for person in known
@@ -284,10 +286,16 @@ def relaxation_sentence(people: Iterable[Activity], conditions: Iterable[str], t
         limits.setdefault(f"{100.0 * person.limit:g} {person.unit}", []).append(person.subject)
     of_whom = [f"{limit} in {', '.join(names)}" if len(limits) > 1 else limit for limit, names in limits.items()]
     tested = f"above {' or '.join(of_whom)}, p < {SIGNIFICANT:g}"
-    unknown = [person.subject for person, levels in there if levels["p"].isna().all()]
-    rest = f" Nothing is known of {', '.join(unknown)}: {NONE_ACTIVE}." if unknown else ""
+    unknown = [person for person, levels in there if levels["p"].isna().all()]
+    rest = f" Nothing is known of {', '.join(each.subject for each in unknown)}: {_why(unknown)}." if unknown else ""
     if not active:
         whom = known[0].subject if len(known) == 1 else f"any of the {len(known)} people"
         return f"In the {task}, no muscle of {whom} was found active ({tested}).{rest}"
     named = "; ".join(f"{name} in {', '.join(where)}" for name, where in active.items())
     return f"In the {task}, {len(active)} of {len(known)} people did not relax (a muscle {tested}): {named}.{rest}"
+
+
+def _why(unknown: Iterable[Activity]) -> str:
+    """Why nothing is known of the relaxation of people."""
+    of_noise = (any(NO_NOISE in remark for remark in person.remarks) for person in unknown)
+    return "; ".join(dict.fromkeys(NO_NOISE if noisy else NONE_ACTIVE for noisy in of_noise))

@@ -1,4 +1,4 @@
-"""What is wrong with channels of EMG, with its time: dead, clipped, spikes, movement artefacts, hum, cross-talk."""
+"""What is wrong with channels of EMG: dead, clipped, spikes, movement artefacts, hum, cross-talk, or no raw EMG."""
 
 import itertools
 from collections.abc import Sequence
@@ -38,6 +38,18 @@ MOST_HARMONICS = 9
 
 NOTCH = 0.75
 """Half width of the notch at a line of hum [Hz]."""
+
+BELOW_ZERO = 0.01
+"""Share of a channel's samples below zero from which on it is no rectified EMG [-]: filters leave fewer."""
+
+SKEWED, SKEW = 0.999, 2.1
+"""Share of positive samples, and how far it reaches over their median from which on a channel without negative samples
+is rectified [-]: of EMG with an offset it is at most 2, as that is symmetric; of rectified noise it is 4.9."""
+
+SLOW, UNSTEADY = 0.3, 1.1
+"""Power below the band over that in it, in every trial, and how far `SKEWED` of the samples reach over their median,
+from which on a channel without negative samples is an envelope [-]: of rectified EMG that is low-passed at 50 Hz these
+are 0.4 and 2.2, at 3 Hz 20 and 1.3. EMG with an offset is not slow, unless its electrodes drift about a larger one."""
 
 CROSSTALK = 0.15
 """Correlation of two whitened channels from which on cross-talk is reported [-]: independent muscles have 0."""
@@ -132,6 +144,34 @@ def faults_of_channel(
     return faults
 
 
+def require_raw(volts: NDArray[np.float32], below: Array, names: Sequence[str]) -> None:
+    """Refuse channels that are rectified, or envelopes: they pass for noise that is white, or for movement artefacts.
+
+    Args:
+      volts: as recorded [V], (trial, time, muscle).
+      below: power below the band over that in it, (trial, muscle).
+      names: of the muscles.
+
+    Raises:
+      ValueError: there are such channels.
+    """
+    wrong = []
+    for column, name in enumerate(names):
+        channel = volts[..., column]
+        is_symmetric = np.count_nonzero(channel < 0.0) > BELOW_ZERO * np.count_nonzero(channel)
+        if is_symmetric or not np.ptp(channel, axis=1).any():
+            continue
+        middle, high = np.quantile(channel[channel > 0.0], [0.5, SKEWED])
+        is_slow = below[below[:, column] > 0.0, column].min() > SLOW
+        if high > SKEW * middle or (is_slow and high > UNSTEADY * middle):
+            wrong.append(name)
+    if wrong:
+        raise ValueError(
+            f"EMG is not used: that of {', '.join(wrong)} is nowhere below zero, as if rectified or an envelope; "
+            "expected voltages as amplified (signals.emg.channels of the sidecar)"
+        )
+
+
 def hum_lines(power: NDArray[Any], frequency: Array, mains: Sequence[float]) -> list[float]:
     """Frequencies at which a channel hums [Hz].
 
@@ -152,6 +192,13 @@ def hum_lines(power: NDArray[Any], frequency: Array, mains: Sequence[float]) -> 
                 lines.append(float(here[near][np.argmax(there[near])]))
                 unit, drift = lines[-1] / number, MAINS_DRIFT / MOST_HARMONICS  # of which the others are multiples
     return sorted({*lines})
+
+
+def correlation(white: NDArray[np.float32]) -> Array:
+    """Of the channels of a trial, (muscle, time), with one another, (muscle, muscle); zero of what does not change."""
+    size = np.linalg.norm(white, axis=1)
+    scaled = white / np.maximum(size, np.finfo(np.float32).tiny)[:, None]
+    return np.asarray(scaled @ scaled.T, dtype=float)
 
 
 def crosstalk_of(correlation: Array, names: Sequence[str]) -> tuple[Crosstalk, ...]:

@@ -30,7 +30,15 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from armperturb.analysis.cuts import limit_samples, onset_samples
-from armperturb.analysis.emg.channels import ChannelFault, Crosstalk, crosstalk_of, faults_of_channel, said_of
+from armperturb.analysis.emg.channels import (
+    ChannelFault,
+    Crosstalk,
+    correlation,
+    crosstalk_of,
+    faults_of_channel,
+    require_raw,
+    said_of,
+)
 from armperturb.analysis.emg.whitening import Intervals, Spectra, noise_spectra, whitening
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.arrays import Array, Indices
@@ -61,6 +69,12 @@ CORRELATED = 2**19
 ACTIVE = 10.0
 """Power over that of the silent channel from which on a muscle is active in the most active condition [-]."""
 
+NO_NOISE = (
+    "the quietest trial has the spectrum of strong contractions, which is white, so that nothing tells the noise of "
+    f"the channel (a trial of condition {REST} would)"
+)
+"""Why noise is not known."""
+
 NEGLIGIBLE = 1e-6
 """Disturbances below this count as none [N]."""
 
@@ -86,6 +100,7 @@ class Envelopes(Result):
       rectified: (pi / 2)^(1/2) times the mean modulus of the whitened channels about each sample, in units of the root
         of the reference's power, likewise.
       noise: power of the silent channels in the same units, (muscle,); see `whitening`.
+      knows_noise: whether anything tells that; if not it is 0, (muscle,).
       reference: what amplitudes are relative to: "maximal contraction", or the condition of the largest mean power.
       reference_volts: its RMS as recorded [V], (muscle,).
       averaging: time over which a sample of the power is averaged [s].
@@ -101,6 +116,7 @@ class Envelopes(Result):
     power: Array
     rectified: NDArray[np.float32]
     noise: Array
+    knows_noise: NDArray[np.bool_]
     reference: str
     reference_volts: Array
     averaging: float
@@ -120,10 +136,10 @@ class Envelopes(Result):
         return "% of maximal contraction" if self.is_normalised else f"% of {self.reference}"
 
     @property
-    def tells_relaxation(self) -> NDArray[np.bool_]:
-        """Whether amplitudes tell that a muscle is relaxed, (muscle,).
+    def tells_activity(self) -> NDArray[np.bool_]:
+        """Whether amplitudes are relative to those of an active muscle, (muscle,).
 
-        Without a maximal contraction they do where the muscle is active in the condition that they are relative to,
+        Without a maximal contraction they are where the muscle is active in the condition that they are relative to,
         and this is none of the relax task.
         """
         relaxed = self.labels["condition"][self.labels["task"] == "RT"]
@@ -173,29 +189,23 @@ class Envelopes(Result):
     @property
     def remarks(self) -> tuple[str, ...]:
         """What is wrong with the channels, a line each."""
-        hum = tuple(
-            f"EMG of {name} hums at {', '.join(f'{line:.1f}' for line in lines)} Hz: cut out"
-            for name, lines in self.hum.items()
-        )
-        no_group = [name for name, action in self.muscles.items() if not action.joints or not action.sign]
-        unknown = (
-            (
+        said = list(said_of(self.faults))
+        for name, lines in self.hum.items():
+            said.append(f"EMG of {name} hums at {', '.join(f'{line:.1f}' for line in lines)} Hz: cut out")
+        said += map(str, self.crosstalk)
+        if no_group := [name for name, action in self.muscles.items() if not action.joints or not action.sign]:
+            said.append(
                 f"EMG of {', '.join(no_group)}: nobody says what the muscle does; expected signals.emg.muscles in the "
-                "sidecar",
+                "sidecar"
             )
-            if no_group
-            else ()
-        )
-        lost = [name for name, volts in zip(self.muscles, self.reference_volts, strict=True) if math.isnan(volts)]
-        without = (
-            (
+        if lost := [name for name, volts in zip(self.muscles, self.reference_volts, strict=True) if math.isnan(volts)]:
+            said.append(
                 f"EMG of {', '.join(lost)}: dead in every {self.reference}, so that nothing is known of its amplitude; "
-                f"without trials of condition {MAXIMAL} it would be relative to the most active condition",
+                f"without trials of condition {MAXIMAL} it would be relative to the most active condition"
             )
-            if lost
-            else ()
-        )
-        return (*said_of(self.faults), *hum, *map(str, self.crosstalk), *unknown, *without)
+        if noisy := [name for name, known in zip(self.muscles, self.knows_noise, strict=True) if not known]:
+            said.append(f"EMG of {', '.join(noisy)}: {NO_NOISE}; amplitudes contain it")
+        return tuple(said)
 
     def describe(self) -> Description:
         """Mean amplitude of each muscle in each condition, and what is wrong with the channels."""
@@ -326,7 +336,7 @@ def envelopes(
       rest: condition of the trials at rest.
 
     Raises:
-      ValueError: as `require_emg`; there are several people; or the band is empty.
+      ValueError: as `require_emg` and `channels.require_raw`; there are several people; or the band is empty.
     """
     require_emg(recording)
     if len(people := dict.fromkeys(recording["subject"].values.tolist())) > 1:
@@ -338,17 +348,21 @@ def envelopes(
     volts, actions = recording["emg"].values, muscle_actions(recording)
     names, conditions = list(actions), recording["condition"].values.astype(str)
     spectra = Spectra.of(volts, rate, low, mains)
+    require_raw(volts, spectra.below, names)
     noise = noise_spectra(spectra, (low, high), conditions == rest)
+    knows_noise, noise = np.isfinite(noise).all(axis=-1), np.nan_to_num(noise)
     filtered = whitening(
         spectra, noise, volts.shape[1], rate, (low, high), highpass=emg_highpass(recording), whiten=whiten
     )
     half, n_time = 1.0 / mechanical, recording.sizes["time"]
-    # The other signals, which are late by the lead, show at a time what the EMG showed before it.
+    # The other signals, which are late by the lead, show at a time what the EMG showed before it. What the lead leaves
+    # of a trial without EMG is as its end.
     centre = np.arange(n_time) / mechanical - float(recording["emg"].attrs.get("lead", 0.0))
+    centre = np.clip(centre, 0.0, volts.shape[1] / rate)
     intervals = Intervals(volts.shape[1], rate, centre - half, centre + half)
     power = np.empty((len(volts), n_time, len(names)))
     rectified = np.empty(power.shape, dtype=np.float32)
-    correlation, faults = np.zeros((len(names), len(names))), list[ChannelFault]()
+    shared, faults = np.zeros((len(names), len(names))), list[ChannelFault]()
     compared = np.empty((len(names), min(volts.shape[1], CORRELATED)), dtype=np.float32)
     for trial, values in enumerate(volts):
         for column, name in enumerate(names):  # one after the other, for the sake of memory
@@ -363,7 +377,7 @@ def envelopes(
                     dead = slice(int(fault.start * mechanical), int(np.ceil(fault.end * mechanical)) + 1)
                     power[trial, dead, column] = rectified[trial, dead, column] = np.nan
             faults += of_channel
-        correlation += _correlation(compared) / len(volts)
+        shared += correlation(compared) / len(volts)
     labels = _labels(recording)
     reference, largest = _reference(power, labels, maximal, mechanical)
     # A muscle that never rises above the noise is silent, not fully active.
@@ -377,21 +391,15 @@ def envelopes(
         power=power,
         rectified=rectified,
         noise=filtered.noise / above,
+        knows_noise=np.asarray(knows_noise),
         reference=reference,
         reference_volts=np.sqrt(above / filtered.gain),
         averaging=2.0 * half,
         samples_per_second=filtered.samples_per_second,
         faults=tuple(faults),
-        crosstalk=crosstalk_of(correlation, names),
+        crosstalk=crosstalk_of(shared, names),
         hum={names[column]: lines for column, lines in filtered.hum.items()},
     )
-
-
-def _correlation(white: NDArray[np.float32]) -> Array:
-    """Of the channels of a trial, (muscle, muscle); zero of what does not change."""
-    size = np.linalg.norm(white, axis=1)
-    scaled = white / np.maximum(size, np.finfo(np.float32).tiny)[:, None]
-    return np.asarray(scaled @ scaled.T, dtype=float)
 
 
 def _labels(recording: xr.Dataset) -> pd.DataFrame:

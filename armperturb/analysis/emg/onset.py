@@ -99,9 +99,13 @@ class Onsets(Result):
             for row in self.latencies.to_dict("records")
             if np.isfinite(row["latency_s"])
         )
+        none = (
+            f"no muscle answers clearly (p < {SIGNIFICANT:g}) with a latency whose interval is within "
+            f"{1e3 * LATENCIES[0]:g} to {1e3 * LATENCIES[-1]:g} ms"
+        )
         return Description(
             title=f"Answers of the muscles of {self.subject} to pulses in {', '.join(self.conditions)}",
-            facts=(f"amplitudes in {self.unit}",),
+            facts=(f"amplitudes in {self.unit}", *(() if rows else (none,))),
             table=Table(("muscle", "direction [deg]", "trials", "latency [ms] (95 %)", "p"), rows),
         )
 

@@ -14,6 +14,7 @@ and trials). The p of no response, in such noise, is that of the best of all del
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import NoneType
 from typing import TYPE_CHECKING, Any
@@ -21,15 +22,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 import xarray as xr
-from scipy import fft, optimize, special, stats
+from scipy import fft, optimize, stats
 
 from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.emg.envelope import Envelopes
 from armperturb.analysis.emg.pulse_average import pulse_averages
 from armperturb.analysis.emg.rotation import rotation
+from armperturb.analysis.emg.searched_p import searched_p
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array, ComplexArray, Indices
+from armperturb.recording import Action
 from armperturb.subject import Subject
 from armperturb.validation import require_type
 
@@ -53,9 +56,6 @@ JOINTS = ("shoulder", "elbow")
 GAINS = ("velocity_s", "velocity_e", "position_s", "position_e")
 """Columns of the gains of shoulder and elbow."""
 
-RANK = 1e-12
-"""Power of a direction of the design over the largest one below which it counts as none [-]."""
-
 WITH_LIMITS = ("delay_s", "delay_error_s", "lower_95_s", "upper_95_s")
 """Columns of a delay."""
 
@@ -64,6 +64,12 @@ FITTED = (*WITH_LIMITS, *GAINS, *(f"{name}_error" for name in GAINS), "coherence
 
 UNKNOWN = dict.fromkeys(FITTED, math.nan) | {"coherence": 0.0, "p": 1.0}
 """What is fitted to a muscle that is never above its noise, or whose channel is dead in too many trials."""
+
+CLEAR = 0.001
+"""Level at which a muscle counts as responding to rotation [-]."""
+
+OPPOSITE = 3.0
+"""Standard errors of the gain of a muscle's shortening from which on it answers to that [-]."""
 
 FEWEST_SECONDS = 4.0
 """Time of a trial from which on it tells of reflexes [s]."""
@@ -93,6 +99,7 @@ class Reflexes(Result):
       coherence: multiple coherence [-], (muscle, band).
       averages: one row per muscle and direction of the pulses: number of `trials`, amplitude in `background`, and above
         it in `short` and `long`, with standard errors over trials (`..._error`).
+      remarks: muscles that answer as reflexes of what they are said to be do not.
     """
 
     condition: str
@@ -104,6 +111,7 @@ class Reflexes(Result):
     response_error: Array
     coherence: Array
     averages: pd.DataFrame
+    remarks: tuple[str, ...] = ()
 
     def describe(self) -> Description:
         """Delay, gains and coherence of each muscle."""
@@ -127,6 +135,7 @@ class Reflexes(Result):
             title=f"Reflexes of {self.subject} in {self.condition}, from rotation to EMG",
             facts=(f"amplitudes in {self.unit}",),
             table=Table(("muscle", "delay [ms]", "by phase [ms]", "coherence", "p"), rows),
+            remarks=self.remarks,
         )
 
     def to_frame(self) -> pd.DataFrame:
@@ -228,6 +237,8 @@ def reflexes(
     bands = np.flatnonzero(len(used) * of_trial >= FEWEST_LINES)
     centre = np.array([f[_bands(f) == band].mean() for band in bands])
     fits, response, error, coherence = _of_muscles(q, a, f, shared, bands)
+    # Where nothing moves the arm but the person, activity comes before rotation.
+    is_perturbed = trials.drive[used, first : first + length].any()
     table = pd.DataFrame([{"muscle": name, **fit} for name, fit in zip(names, fits, strict=True)])
     table["delay_by_phase_s"] = [
         _by_phase(response[column], error[column], centre, fit) for column, fit in enumerate(fits)
@@ -242,6 +253,24 @@ def reflexes(
         response_error=error,
         coherence=coherence,
         averages=pulse_averages(envelopes, rows.tolist()),
+        remarks=_remarks(trials.label, table, envelopes.muscles) if is_perturbed else (),
+    )
+
+
+def _remarks(label: str, responses: pd.DataFrame, muscles: Mapping[str, Action]) -> tuple[str, ...]:
+    """A line on muscles that clearly answer to shortening, of which no reflex does."""
+    shortened = []
+    for row in responses[responses["p"] < CLEAR].to_dict("records"):
+        joints, sign = muscles[row["muscle"]]
+        # Rotation is positive in flexion, which shortens flexors.
+        scores = [sign * row[f"velocity_{joint}"] / row[f"velocity_{joint}_error"] for joint in joints]
+        if max(scores, default=0.0) > OPPOSITE and min(scores) > -OPPOSITE:
+            shortened.append(row["muscle"])
+    if not shortened:
+        return ()
+    return (
+        f"EMG of {', '.join(shortened)} in {label} answers to shortening: flexors that are named as extensors, or the "
+        "other way round (sign in signals.emg.muscles of the sidecar), or activity that is no reflex",
     )
 
 
@@ -349,35 +378,6 @@ def _fit(q: ComplexArray, a: ComplexArray, f: Array, shared: float) -> dict[str,
         "coherence": explained,
         "p": searched_p(explained, n, undelayed, _design(-2j * np.pi * f * q, f, 0.0), DELAYS[1] - DELAYS[0]),
     }
-
-
-def searched_p(explained: float, n: float, design: Array, change: Array, extent: float) -> float:
-    """Probability that noise alone is explained so well at any of many delays, at most.
-
-    Bound of Davies (1987, Biometrika 74) for the largest chi-squared along a line, here for the share of the sum of
-    squares, as its size is unknown: it explains more at the first delay, or comes to do so at a later one. The rate of
-    that is the same at all delays, as they turn the columns of the design and do not change how these go together.
-
-    Args:
-      explained: largest share of the sum of squares that the design explains [-].
-      n: independent numbers.
-      design: at the first delay, (number, column); numbers that depend on one another all do so alike.
-      change: its derivative by the delay, likewise [1/s]; at most two columns outside the span of the design.
-      extent: largest delay less the least one [s].
-    """
-    power, axes = np.linalg.eigh(design.T @ design)
-    is_seen = power > RANK * power[-1]
-    white = axes[:, is_seen] / np.sqrt(power[is_seen])
-    within = design @ white
-    leaving = change @ white
-    leaving = leaving - within @ (within.T @ leaving)
-    *_, lesser, larger = np.maximum(np.linalg.eigvalsh(leaving.T @ leaving), 0.0)
-    # Mean length of a normal vector of two dimensions with these variances.
-    speed = math.sqrt(2.0 * larger / math.pi) * special.ellipe(1.0 - lesser / max(larger, 1e-300))
-    half, rest = 0.5 * is_seen.sum(), 0.5 * (n - is_seen.sum())
-    at_first = stats.beta.sf(explained, half, rest)
-    later = extent * speed * math.sqrt(2.0 / math.pi) / n * stats.beta.pdf(explained, half + 0.5, rest + 0.5)
-    return float(min(at_first + later, 1.0))
 
 
 def _bands(f: Array) -> Indices:

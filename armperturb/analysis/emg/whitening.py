@@ -28,6 +28,9 @@ EDGE_ORDER = 4
 WHITE = 0.1
 """Mean square deviation of a spectrum from a flat one, over its square, below which it is white [-]."""
 
+STRONG = 10.0
+"""Power over that of the quietest trial from which on a trial is of the muscle, whatever the noise [-]."""
+
 REWEIGHTED = 3
 """Times that the parts of a spectrum are estimated, each with the weights of the estimate before."""
 
@@ -90,7 +93,7 @@ class Spectra:
 
     Attributes:
       frequency: centres of bins [Hz], (bin,).
-      power: mean within each bin, (trial, muscle, bin).
+      power: mean within each bin, without hum, (trial, muscle, bin).
       below: power below the band over that in it, (trial, muscle).
       hum: column to the frequencies of the mains in it [Hz].
     """
@@ -125,15 +128,28 @@ class Spectra:
                     transformed = fft.rfft(part - mean, n_padded)
                     density += transformed.real**2 + transformed.imag**2
                 density /= n_parts
-                total[column] += density
+                # Relative to the trial, as hum that strong contractions hide counts where the muscle is quiet.
+                total[column] += density / max(density.mean(), np.finfo(np.float32).tiny)
                 power[trial, column] = np.add.reduceat(density, starts) / sizes
+        centre = np.add.reduceat(frequency, starts) / sizes
         for column, mean in enumerate(total / len(volts)):
             if lines := hum_lines(mean, frequency, mains):
                 hum[column] = lines
-        centre = np.add.reduceat(frequency, starts) / sizes
+                _bridge(power[:, column], centre, lines)
         is_below = centre < 0.75 * low
         below = power[..., is_below].sum(axis=-1) / np.maximum(power[..., ~is_below].sum(axis=-1), 1e-30)
         return cls(frequency=centre, power=power, below=below, hum=hum)
+
+
+def _bridge(power: Array, frequency: Array, lines: Sequence[float]) -> None:
+    """Replace the bins about lines of hum by what is between their neighbours, in place, (trial, bin).
+
+    The filter cuts hum out of the signal, so that spectra with it would be those of another signal.
+    """
+    is_near = np.any(np.abs(frequency - np.array(lines)[:, None]) < RESOLUTION, axis=0)
+    for of_trial in power:
+        logarithm = np.log(np.maximum(of_trial[~is_near], np.finfo(float).tiny))
+        of_trial[is_near] = np.exp(np.interp(frequency[is_near], frequency[~is_near], logarithm))
 
 
 def parts_of(n_samples: int) -> int:
@@ -160,11 +176,11 @@ def band_power(frequency: Array, low: float, high: float) -> Array:
 
 
 def noise_spectra(spectra: Spectra, band: tuple[float, float], is_rest: NDArray[np.bool_]) -> Array:
-    """Power spectrum of each channel when its muscle is silent, (muscle, bin).
+    """Power spectrum of each channel when its muscle is silent, (muscle, bin); NaN where nothing tells it.
 
     That of the trials at rest. Without any, nobody says that a muscle was ever silent: unless the spectrum of the
     quietest trial is white, it is taken for a sum of white noise and of the mean spectrum of all trials, which is that
-    of the muscle, and the noise is what is white.
+    of the muscle, and the noise is what is white. Where all strong trials are white as well, whiteness tells nothing.
 
     Args:
       spectra: of the trials.
@@ -183,8 +199,9 @@ def noise_spectra(spectra: Spectra, band: tuple[float, float], is_rest: NDArray[
         quietest = spectra.power[alive[np.argmin(loud[alive])], column, inside]
         muscle = np.mean(spectra.power[:, column, inside], axis=0)
         level = quietest.mean()
-        if np.mean((quietest / level - 1.0) ** 2) < WHITE:
-            noise[column] = level
+        if _is_white(quietest):
+            strong = spectra.power[loud > STRONG * loud[alive].min(), column][:, inside]
+            noise[column] = np.nan if len(strong) and all(map(_is_white, strong)) else level
             continue
         expected = np.maximum(quietest, 1e-12 * quietest.max())
         for _ in range(REWEIGHTED):  # weights that are the data's own would favour what is low by chance
@@ -196,6 +213,10 @@ def noise_spectra(spectra: Spectra, band: tuple[float, float], is_rest: NDArray[
         taken = np.interp(parts[0], [0.0, ALIKE, 1.0], [0.0, ALIKE, 0.0])
         noise[column] = parts[1] / (1.0 - taken)
     return noise
+
+
+def _is_white(spectrum: Array) -> bool:
+    return bool(np.mean((spectrum / spectrum.mean() - 1.0) ** 2) < WHITE)
 
 
 def whitening(

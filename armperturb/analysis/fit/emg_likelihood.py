@@ -52,6 +52,30 @@ FEW_WITH_EMG = (
 )
 """Remark on an assumption without which EMG would make errors smaller than the differences between trials."""
 
+UNTIMELY = "EMG and movement disagree on the delay of reflexes"
+"""Start of the remark on EMG that is late or early."""
+
+DISAGREEMENT = 4.0
+"""Standard errors from which on they do [-]: of 36 fits of synthetic linear people the largest was 3.2."""
+
+
+def remarks_on_delay(later: float, error: float, *, lacks: bool) -> tuple[str, ...]:
+    """What to say of muscles that answer later than their EMG by other than is assumed.
+
+    Args:
+      later: by how much [s].
+      error: its standard error [s].
+      lacks: whether the fit has a lack of fit, which may be the reason.
+    """
+    if not abs(later) > DISAGREEMENT * error:
+        return ()
+    word, lead = ("early", "larger") if later > 0.0 else ("late", "smaller")
+    return (
+        f"{UNTIMELY}, as if EMG were {1e3 * abs(later):.1f} ms {word} (standard error {1e3 * error:.1f} ms): expected "
+        f"a lead of emg in the sidecar that is {lead} by that, and may be negative, or a delay that is estimated "
+        f"(--emg-delay 0 0.02){', unless the lack of fit is the reason' if lacks else ''}",
+    )
+
 
 @dataclass(frozen=True, kw_only=True)
 class ElectromechanicalDelay:

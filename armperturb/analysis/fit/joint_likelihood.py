@@ -7,7 +7,8 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from armperturb.analysis.arm.linear_arm import LinearArm
-from armperturb.analysis.fit.emg_likelihood import N_ARM
+from armperturb.analysis.arm.parameters import DELAYS
+from armperturb.analysis.fit.emg_likelihood import DELAY_NAME, N_ARM
 from armperturb.analysis.fit.group import Group, Method
 from armperturb.analysis.fit.likelihood import Likelihood
 from armperturb.analysis.fit.structures import PUBLISHED, unit
@@ -252,6 +253,29 @@ class JointLikelihood:
             score, design = self._sharpness * (self._known - values), np.zeros((len(values), len(QUANTITIES)))
             by_trial.append(TrialScore(range(len(values)), score, np.diag(self._sharpness), design))
         return by_trial
+
+    def emg_delay(self, values: Array, effects: Effects | None = None) -> tuple[float, float]:
+        """By how much later than their EMG muscles answer, beyond what is assumed, and the standard error [s].
+
+        A Gauss-Newton step of that delay alone from most likely values, the other parameters following it; the noise
+        must have been weighed. NaN and infinity where no EMG tells, or where that delay is free.
+        """
+        n, slope = len(self.names), 0.0
+        information, together = np.diag(self._sharpness), np.zeros(n + 1)
+        for (at, likelihood), parameters in zip(self.parts, self.parameters(values, effects), strict=True):
+            mixing, columns = self._mixing[at], self._of(at)
+            information[np.ix_(columns, columns)] += likelihood.normal(parameters, mixing, quick=True).information
+            if isinstance(likelihood, TrialsWithEmg) and DELAY_NAME not in likelihood.emg.names:
+                # What is later by the electromechanical delay is as if the reflexes' delays were shorter, in EMG alone.
+                earlier = np.zeros(len(mixing))
+                earlier[DELAYS] = -1.0
+                of_emg = likelihood.emg.normal(parameters, np.column_stack([mixing, earlier]), quick=True)
+                slope += of_emg.slope[-1]
+                together[[*columns, n]] += of_emg.information[-1]
+        inside = np.flatnonzero((values > self.lower) & (values < self.upper))
+        follows = inverse(information[np.ix_(inside, inside)]) @ together[inside]
+        alone = together[n] - together[inside] @ follows
+        return (slope / alone, alone**-0.5) if alone > SINGULAR * together[n] > 0.0 else (np.nan, np.inf)
 
     def lack_of_fit(self, values: Array, effects: Effects | None = None) -> LackOfFit:
         """Of all groups together; the noise must have been weighed."""

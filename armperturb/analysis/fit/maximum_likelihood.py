@@ -5,6 +5,7 @@ within the bounds follow (`likelihood_search`). Then trials are allowed to diffe
 Standard errors are those of the Fisher information, near the Cramer-Rao bound, if they do not.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple, get_args
@@ -12,7 +13,7 @@ from typing import NamedTuple, get_args
 import numpy as np
 
 from armperturb.analysis.defaults import FEWEST_TRIALS
-from armperturb.analysis.fit.emg_likelihood import FEW_WITH_EMG
+from armperturb.analysis.fit.emg_likelihood import FEW_WITH_EMG, remarks_on_delay
 from armperturb.analysis.fit.group import Group, Method, require_one_person
 from armperturb.analysis.fit.joint_likelihood import PART_OF, JointLikelihood
 from armperturb.analysis.fit.likelihood_search import (
@@ -414,4 +415,7 @@ def _judge(problem: JointLikelihood, method: Method, search: Searched) -> Estima
         imbalance={group.label: group.parts[0].balance.imbalance for group in problem.groups},
     )
     on_few = (FEW_WITH_EMG if is_assumed else FEW,) if few else ()
-    return replace(result, remarks=(*_remarks(result), *on_few))
+    tells = problem.uses_emg and search.converged
+    later, unsure = problem.emg_delay(values, search.effects) if tells else (0.0, np.inf)
+    on_delay = remarks_on_delay(later, unsure * math.sqrt(dispersion), lacks=result.is_suspicious)
+    return replace(result, remarks=(*_remarks(result), *on_delay, *on_few))

@@ -8,7 +8,7 @@ import numpy as np
 
 from armperturb.analysis.defaults import FEWEST_TRIALS
 from armperturb.analysis.fit.diagnosis import Diagnosis
-from armperturb.analysis.fit.emg_likelihood import FEW_WITH_EMG
+from armperturb.analysis.fit.emg_likelihood import FEW_WITH_EMG, UNTIMELY
 from armperturb.analysis.fit.frequency_bands import BandOfLack
 from armperturb.analysis.fit.identify import Identification
 from armperturb.analysis.fit.maximum_likelihood import LARGE_LACK, SKEWED, SUSPICIOUS, Estimate
@@ -88,6 +88,9 @@ def verdict(identification: Identification, bands: Sequence[BandOfLack], imbalan
       imbalance: what is wrong with its signals, which no lack of fit need show; None where nothing is.
     """
     of_fit = _of_fit(identification, bands)
+    untimely = next((remark for remark in identification.fit.remarks if remark.startswith(UNTIMELY)), "")
+    if untimely and of_fit.level == "trust":
+        of_fit = Verdict("care", f"{untimely}. {of_fit.text}")
     return of_fit if imbalance is None else with_imbalance(of_fit, identification.fit, imbalance)
 
 

@@ -8,14 +8,11 @@ import numpy as np
 
 from armperturb.analysis.emg.activity import relaxation_sentence
 from armperturb.analysis.emg.envelope import mean_known
-from armperturb.analysis.emg.reflex import DELAYS
+from armperturb.analysis.emg.reflex import CLEAR, DELAYS
 from armperturb.study.comparison.cocontraction import cocontraction_tests
 from armperturb.study.report.figures import emg as emg_figures
 from armperturb.study.results.emg import of_one_unit
 from armperturb.study.results.study_result import StudyResult
-
-CLEAR = 0.001
-"""Level at which a muscle counts as responding to rotation [-]."""
 
 
 def emg_drawings(study: StudyResult) -> "dict[str, partial[Any]]":

@@ -170,6 +170,7 @@ def person_emg(name: str, path: Path, shown: Condition | None = None, contractio
     levels, cocontraction = (
         frame[~frame["condition"].isin(contracted)] for frame in (of_muscles.levels, of_muscles.cocontraction)
     )
+    of_reflexes = [line for reflex in of_conditions.values() for line in reflex.remarks]
     return PersonEmg(
         name=name,
         unit=of_muscles.unit,
@@ -181,7 +182,7 @@ def person_emg(name: str, path: Path, shown: Condition | None = None, contractio
             for label, reflex in of_conditions.items()
             for row in reflex.responses[columns].itertuples(index=False, name=None)
         ),
-        remarks=tuple(f"{name}: {line}" for line in of_muscles.remarks),
+        remarks=tuple(f"{name}: {line}" for line in (*of_muscles.remarks, *of_reflexes)),
         shown=_shown(amplitudes, by_condition, of_conditions, shown) if shown and shown.name in of_conditions else None,
     )
 

@@ -120,6 +120,22 @@ def test_a_muscle_that_no_condition_makes_active_is_not_tested():
     assert any("EMG of extensor: nothing is known of relaxation" in line for line in result.remarks)
 
 
+@pytest.mark.parametrize(
+    ("level", "says"), [(0.1, "Nothing is known"), (0.01, "In the relax task, no muscle of A was")]
+)
+def test_emg_whose_spectrum_is_white_does_not_pass_for_noise(level, says):
+    """Of a muscle that is always active. That it is relaxed is known if noise and muscle are below the limit."""
+    volts = np.append(1.0, np.full(3, level))[:, None, None] * np.random.default_rng(0).standard_normal((4, 2, N))
+    amplitudes = envelopes(recorded(volts, ["MVC", *["RT7.5"] * 3]))
+    result = activity(amplitudes)
+    relaxed = result.levels[result.levels["condition"] == "RT7.5"]
+    np.testing.assert_allclose(relaxed["amplitude"], level, rtol=0.1)
+    assert relaxation_sentence([result], ["RT7.5"]).startswith(says)
+    assert any("so that nothing tells the noise of the channel" in line for line in result.remarks)
+    index = result.cocontraction.set_index("condition").loc["RT7.5", "index"]
+    assert index == pytest.approx(level, rel=0.1)
+
+
 def test_the_sentence_has_the_limit_of_each_person():
     volts = noise((4, 2, N)) * np.array([1.0, 1.0, 0.0, 0.0])[:, None, None] + amplifier((4, 2, N))
     recording = recorded(volts, ["PT7.5"] * 2 + ["RT7.5"] * 2, task=["PT"] * 2 + ["RT"] * 2)

@@ -100,10 +100,10 @@ def test_amplitudes_are_relative_to_the_maximal_contraction_and_above_the_noise(
     np.testing.assert_allclose(result.reference_volts, 1.0, rtol=0.08)
 
 
-def test_envelope_is_in_step_with_signals_that_a_filter_delays():
+def test_envelope_is_in_step_with_signals_that_are_later_or_earlier():
     recording = recorded((0.3 + 0.2 * np.sin(2 * np.pi * 4.0 * TIME)) * noise((10, 2, N)))
     wave = np.exp(-2j * np.pi * 4.0 * np.arange(N // 10) / RATE)
-    for lead in (0.0, 0.01):
+    for lead in (0.0, 0.01, -0.03):
         recording["emg"].attrs["lead"] = lead
         phase = np.angle(1j * wave @ envelopes(recording).power.mean(axis=(0, 2)))
         assert -phase / (2 * np.pi * 4.0) == pytest.approx(lead, abs=1e-3)
@@ -167,6 +167,22 @@ def test_what_is_wrong_with_a_channel_is_named_with_its_time(spoil, message):
     assert remarks[0].startswith(message)
 
 
+def test_hum_changes_no_amplitude():
+    hum = np.sin(2 * np.pi * 50.0 * TIME)
+    volts = 0.3 * noise((3, 2, N))
+    quiet, humming = (envelopes(recorded(each)).to_frame()["amplitude_V"] for each in (volts, volts + hum))
+    np.testing.assert_allclose(humming, quiet, rtol=0.02)
+
+
+def test_hum_that_contractions_hide_is_cut_out_of_what_is_relaxed():
+    volts = np.array([1.0, 0.0, 0.0, 0.0])[:, None, None] * noise((4, 2, N))
+    volts += 5e-3 * np.random.default_rng(1).standard_normal(volts.shape) + 5e-3 * np.sin(2 * np.pi * 50.0 * TIME)
+    result = envelopes(recorded(volts, ["MVC", *["RT7.5"] * 3]))
+    assert list(result.hum) == ["flexor", "extensor"]
+    relaxed = result.to_frame().set_index("condition").loc["RT7.5", "amplitude"]
+    assert (relaxed < 0.0015).all()  # of the hum alone it is 0.0035
+
+
 def test_sound_channels_are_not_suspected(modulated):
     assert envelopes(modulated).remarks == ()
 
@@ -183,17 +199,34 @@ def test_unknown_muscles_are_named():
     assert remarks == ("EMG of soleus: nobody says what the muscle does; expected signals.emg.muscles in the sidecar",)
 
 
+def low_passed(emg, cutoff):
+    sos = signal.butter(4, cutoff, fs=EMG_RATE, output="sos")
+    return emg.copy(data=signal.sosfiltfilt(sos, emg.values, axis=1).astype(np.float32))
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         (lambda r: r.drop_vars(["emg"]), "EMG is missing: the recording has no variable 'emg'"),
         (lambda r: r.assign_attrs(emg_rate=1000.0), "it lasts 20 s at emg_rate = 1000 Hz, the other signals 10 s"),
         (lambda r: r.assign(emg=r["emg"] * 0.0), "all channels are zero; expected voltages"),
+        (lambda r: r.assign(emg=abs(r["emg"])), "that of flexor, extensor is nowhere below zero, as if rectified"),
+        (lambda r: r.assign(emg=low_passed(abs(r["emg"]), 6.0)), "that of flexor, extensor is nowhere below zero"),
+        (lambda r: r.assign(emg=low_passed(abs(r["emg"]), 30.0)), "that of flexor, extensor is nowhere below zero"),
     ],
 )
 def test_emg_that_cannot_be_used_is_refused_in_one_line(modulated, change, message):
     with pytest.raises(ValueError, match=message):
         envelopes(change(modulated))
+
+
+def test_an_offset_of_the_amplifier_is_no_rectification(modulated):
+    shifted = modulated.assign(emg=modulated["emg"] - modulated["emg"].min())
+    found = [envelopes(each).to_frame()["amplitude_V"] for each in (modulated, shifted)]
+    np.testing.assert_allclose(*found, rtol=1e-3, atol=FLOOR)
+    drift = np.sin(2 * np.pi * 0.3 * TIME)[:, None].astype(np.float32)
+    drifting = envelopes(modulated.assign(emg=modulated["emg"] + 20.0 + drift)).to_frame()["amplitude_V"]
+    np.testing.assert_allclose(drifting[:2], found[0][:2], rtol=0.1)
 
 
 def test_a_result_describes_itself_and_becomes_tables(modulated):

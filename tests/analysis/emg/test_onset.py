@@ -62,8 +62,9 @@ def test_a_muscle_that_is_not_stretched_does_not_answer():
 
 
 def test_no_reflex_has_no_latency():
-    _, rows = answers(person(1, gain=0.0))
+    result, rows = answers(person(1, gain=0.0))
     assert rows["latency_s"].isna().all()
+    assert "no muscle answers clearly (p < 1e-06)" in result.summary()
 
 
 def test_trials_without_pulses_are_refused():

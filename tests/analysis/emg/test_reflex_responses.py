@@ -71,6 +71,7 @@ def of_amplitude(amplitude, labels):
         power=amplitude**2,
         rectified=amplitude.astype(np.float32),
         noise=np.zeros(n),
+        knows_noise=np.ones(n, dtype=bool),
         reference="RT7.5",
         reference_volts=np.ones(n),
         averaging=0.01,
@@ -97,6 +98,20 @@ def test_gains_have_the_sign_and_size_of_each_muscle(result):
         assert scale == pytest.approx(1.0, rel=0.1)
         assert row["position_s"] == pytest.approx(sign * POSITION, abs=4.0 * row["position_s_error"])
         assert abs(row["velocity_e"]) < 4.0 * row["velocity_e_error"]
+
+
+def test_muscles_that_answer_to_shortening_are_named(recording, amplitudes, result):
+    assert result.remarks == ()
+    swapped = replace(amplitudes, muscles={name: Action("s", -each.sign) for name, each in amplitudes.muscles.items()})
+    trials = ConditionTrials.prepare(recording)
+    (said,) = reflexes(trials, swapped, window_start=1.0).remarks
+    assert said.startswith(
+        "EMG of flexor, extensor in RT7.5 answers to shortening: flexors that are named as extensors"
+    )
+    assert said in replace(result, remarks=(said,)).summary()
+    # Where nothing perturbs the arm, activity may come first.
+    still = recording.assign(perturbation=0.0 * recording["perturbation"])
+    assert reflexes(ConditionTrials.prepare(still), swapped, window_start=1.0).remarks == ()
 
 
 def test_response_without_a_model_is_that_of_the_filter(result):

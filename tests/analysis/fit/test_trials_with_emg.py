@@ -7,7 +7,7 @@ import pytest
 
 from armperturb.analysis.emg.envelope import envelopes
 from armperturb.analysis.emg.outputs import reflex_outputs
-from armperturb.analysis.fit.emg_likelihood import FEW_WITH_EMG, ElectromechanicalDelay, EmgLikelihood
+from armperturb.analysis.fit.emg_likelihood import FEW_WITH_EMG, UNTIMELY, ElectromechanicalDelay, EmgLikelihood
 from armperturb.analysis.fit.group import Group
 from armperturb.analysis.fit.joint_likelihood import JointLikelihood
 from armperturb.analysis.fit.maximum_likelihood import estimate
@@ -22,10 +22,10 @@ from armperturb.subject import POSITION
 NOISE = replace(HUMAN_NOISE["PT"], spread_b=0.0, spread_k=0.0, spread_kv=0.0, spread_kp=0.0)
 
 
-def with_emg(recording):
+def with_emg(recording, sd=0.0):
     """Trials of a recording and their EMG."""
     trials = ConditionTrials.prepare(recording)
-    likelihood = EmgLikelihood(reflex_outputs(trials, envelopes(recording)), ElectromechanicalDelay())
+    likelihood = EmgLikelihood(reflex_outputs(trials, envelopes(recording)), ElectromechanicalDelay(sd=sd))
     return Group.prepare([trials], structure_of("3", wide=True)).with_emg(likelihood)
 
 
@@ -36,8 +36,13 @@ def recorded(trials, effort, **options):
 
 
 @pytest.fixture(scope="module")
-def group(studies):
-    return with_emg(recorded(studies.perturbed(POSITION, 5.4, 4, noise=NOISE), 0.0))
+def recording(studies):
+    return recorded(studies.perturbed(POSITION, 5.4, 4, noise=NOISE), 0.0)
+
+
+@pytest.fixture(scope="module")
+def group(recording):
+    return with_emg(recording)
 
 
 @pytest.mark.slow(reason="simulates four trials with EMG")
@@ -71,6 +76,19 @@ def test_effort_that_shows_in_the_emg_raises_doubt(studies, group):
     slow = NOISE.without_fast_part()  # which never shows, and hides in the movement what does
     shown = estimate([with_emg(recorded(studies.perturbed(POSITION, 5.4, 4, noise=slow), 1.0))])
     assert shown.p_value < 1e-4
+
+
+@pytest.mark.slow(reason="simulates four trials with EMG")
+def test_emg_that_is_late_is_named_unless_its_delay_is_estimated(recording, group):
+    assert not any(remark.startswith(UNTIMELY) for remark in estimate([group]).remarks)
+    late = recording.assign(emg=recording["emg"].copy(data=np.roll(recording["emg"].values, 40, axis=1)))  # by 20 ms
+    said = [remark for remark in estimate([with_emg(late)]).remarks if remark.startswith(UNTIMELY)]
+    assert len(said) == 1
+    assert 12.0 < float(said[0].partition("as if EMG were ")[2].partition(" ms late")[0]) < 24.0
+    free = estimate([with_emg(late, sd=0.02)])
+    assert not any(remark.startswith(UNTIMELY) for remark in free.remarks)
+    late["emg"].attrs["lead"] = late["emg"].attrs.get("lead", 0.0) - 0.02
+    assert not any(remark.startswith(UNTIMELY) for remark in estimate([with_emg(late)]).remarks)
 
 
 @pytest.mark.slow(reason="simulates two trials with EMG")

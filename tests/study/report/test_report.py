@@ -35,7 +35,7 @@ from tests.studies import FEW_FITS, coarse_study, sketch
 
 HEADERS = {
     "summary": "condition,subjects,identified,trials,trials_used,model,median_abs_error_percent",
-    "parameters": "subject,parameter,value,standard_error,lower_95,upper_95,unit,at_bound,condition",
+    "parameters": "parameter,value,standard_error,lower_95,upper_95,unit,at_bound,condition,subject",
     "estimates": "condition,subject,parameter,unit,true,estimated,standard_error,lower_95,upper_95,error_percent,"
     "at_bound,thesis_estimated,thesis_sem,thesis_error_percent",
     "parameters_summary": "condition,parameter,unit,published_mean,published_sd,true_mean,true_sd,estimated_mean",
