@@ -44,6 +44,10 @@ TOLERANCE = 1e-4
 GROWTH = 10.0
 """Factor from barrier to barrier of the interior-point method [-]."""
 
+LEAST_RATIO = 0.01
+"""Share of the other axis's mean square force that each axis has at least [-]: an optimum may want next to none, with
+which recordings would not show the admittance in that direction, nor the person's departures from the model."""
+
 LEAST_STEP = 1e-3
 """Share of the way to the solution with the noise held below which no step is tried [-]."""
 
@@ -213,7 +217,8 @@ class _Shares:
     Attributes:
       experiment: at the lines of the clusters.
       goal: columns of the parameters that count.
-      limits: what the shares must keep: limits @ share <= 1, (limit, share).
+      limits: what the shares must keep: limits @ share <= bounds, (limit, share).
+      bounds: of these limits [-], (limit,).
       spreading: shares to powers of the lines [N^2], (frequency, axis, share).
       demand: shares to the demand [Nm^2], (joint, share).
       held: demand for which the person is as noisy, whatever the shares [Nm^2], (joint,); None for that of the shares.
@@ -227,6 +232,7 @@ class _Shares:
         limits: Limits,
         spread: float,
         held: Array | None,
+        least_ratio: float | None,
     ) -> None:
         self.experiment, self.held = experiment, held
         self.goal = [experiment.names.index(name) for name in goal]
@@ -241,7 +247,14 @@ class _Shares:
         allowed = np.concatenate([force, displacement, *([] if held is None else [demand / held[:, None]])])
         # In shares of about one, where limits other than that of the force allow far less than it.
         unit = 1.0 / max(1.0, float(allowed.max(axis=0).min()))
-        self.limits, self.spreading, self.demand = unit * allowed, unit * spreading, unit * demand
+        floors = np.empty((0, 2 * clusters)) if least_ratio is None else least_ratio * force - force[::-1]
+        self.limits = unit * np.concatenate([allowed, floors])
+        self.bounds = np.concatenate([np.ones(len(allowed)), np.zeros(len(floors))])
+        self.spreading, self.demand = unit * spreading, unit * demand
+
+    def room(self, share: Array) -> Array:
+        """What is left of each limit at these shares [-], (limit,)."""
+        return np.asarray(self.bounds - self.limits @ share)
 
     def power(self, share: Array) -> Array:
         return np.asarray(self.spreading @ share)
@@ -273,7 +286,7 @@ def optimise(
         first, as many in each.
       clusters: how many clusters there are.
       goal: names of the parameters whose errors count.
-      limits: on force and displacement.
+      limits: on force and displacement; each axis has at least `LEAST_RATIO` of the other's mean square force besides.
       spread: share of each axis's power that is spread evenly over all clusters, 0 to 1.
       held: demand [Nm^2], (joint,), that the lines must keep, and for which the person is as noisy, also under less;
         None lets the noise follow the demand, which then has no limit.
@@ -281,10 +294,18 @@ def optimise(
     Raises:
       ValueError: no multisine at these lines tells about all parameters; the message names those.
     """
-    problem = _Shares(experiment, clusters, goal, limits, spread, held)
+    # What keeps it without being asked is the optimum with it, too.
+    optimum = _optimum(_Shares(experiment, clusters, goal, limits, spread, held, None), clusters)
+    force = optimum.power.sum(axis=0)
+    if force.min() >= LEAST_RATIO * force.max():
+        return optimum
+    return _optimum(_Shares(experiment, clusters, goal, limits, spread, held, LEAST_RATIO), clusters)
+
+
+def _optimum(problem: _Shares, clusters: int) -> Optimum:
     share = np.full(2 * clusters, 0.5 / (2 * clusters))
     share *= 0.5 / max(float(np.max(problem.limits @ share)), 0.5)
-    require_informative(np.einsum("sij,s->ij", problem.parts(share), share), experiment.names)
+    require_informative(np.einsum("sij,s->ij", problem.parts(share), share), problem.experiment.names)
     best, excess = problem.criterion(share), _excess(problem, share)
     for _ in range(MAX_STEPS):
         if excess < TOLERANCE:
@@ -303,7 +324,7 @@ def _excess(problem: _Shares, share: Array) -> float:
     """By how much the criterion could fall along its slope within the limits [-]."""
     parts = problem.parts(share)
     slope = problem.price(share) - _weight(_covariance(parts, share), problem.goal, parts)
-    furthest = optimize.linprog(slope, A_ub=problem.limits, b_ub=np.ones(len(problem.limits)))
+    furthest = optimize.linprog(slope, A_ub=problem.limits, b_ub=problem.bounds)
     return float(slope @ share - furthest.fun)
 
 
@@ -328,19 +349,19 @@ def _least(problem: _Shares, start: Array) -> Array:
 
     By an interior-point method, from a start that is strictly inside the limits, (share,).
     """
-    parts, goal, price, limits = problem.parts(start), problem.goal, problem.price(start), problem.limits
-    n, n_bounds = len(start), len(start) + len(limits)
+    parts, price = problem.parts(start), problem.price(start)
+    n, n_bounds = len(start), len(start) + len(problem.limits)
     # From the interior: the last barrier may have left the start at the border of what is allowed.
-    share = 0.5 * start + 0.25 / n / max(1.0, float(limits.sum(axis=1).max() / n))
+    share = 0.5 * start + 0.25 / n / max(1.0, float(problem.limits.sum(axis=1).max() / n))
     sharpness = 10.0 * n_bounds
     while True:
         for _ in range(MAX_STEPS):
-            value, slope, curvature = _with_barrier(parts, goal, price, limits, share, sharpness)
+            value, slope, curvature = _with_barrier(problem, parts, price, share, sharpness)
             step = -np.linalg.solve(curvature, slope)
             if -slope @ step < 1e-2:
                 break
             length = 1.0
-            while not _barrier(parts, goal, price, limits, share + length * step, sharpness) < value:
+            while not _barrier(problem, parts, price, share + length * step, sharpness) < value:
                 length /= 2.0
                 if length < 1e-9:
                     break
@@ -350,16 +371,16 @@ def _least(problem: _Shares, start: Array) -> Array:
         sharpness *= GROWTH
 
 
-def _barrier(parts: Array, goal: list[int], price: Array, limits: Array, share: Array, sharpness: float) -> float:
-    room = 1.0 - limits @ share
+def _barrier(problem: _Shares, parts: Array, price: Array, share: Array, sharpness: float) -> float:
+    room = problem.room(share)
     if not ((share > 0.0).all() and (room > 0.0).all()):
         return np.inf
-    criterion = 0.5 * np.mean(np.log(np.diag(_covariance(parts, share))[goal])) + price @ share
+    criterion = 0.5 * np.mean(np.log(np.diag(_covariance(parts, share))[problem.goal])) + price @ share
     return float(sharpness * criterion - np.sum(np.log(share)) - np.sum(np.log(room)))
 
 
 def _with_barrier(
-    parts: Array, goal: list[int], price: Array, limits: Array, share: Array, sharpness: float
+    problem: _Shares, parts: Array, price: Array, share: Array, sharpness: float
 ) -> tuple[float, Array, Array]:
     """`_barrier`, its slope and its curvature.
 
@@ -368,14 +389,14 @@ def _with_barrier(
     """
     covariance = _covariance(parts, share)
     slope, curvature = np.zeros_like(share), np.zeros((len(share), len(share)))
-    for place in goal:
+    for place in problem.goal:
         column = covariance[:, place] / np.sqrt(covariance[place, place])
         along = parts @ column
         down = along @ column
         slope -= down
         curvature += 2.0 * (along @ covariance) @ along.T - np.outer(down, down)
-    room = 1.0 - limits @ share
-    factor = sharpness / (2 * len(goal))
+    room, limits = problem.room(share), problem.limits
+    factor = sharpness / (2 * len(problem.goal))
     slope = factor * slope + sharpness * price - 1.0 / share + limits.T @ (1.0 / room)
     curvature = factor * curvature + np.diag(share**-2.0) + (limits.T / room**2) @ limits
-    return _barrier(parts, goal, price, limits, share, sharpness), slope, curvature
+    return _barrier(problem, parts, price, share, sharpness), slope, curvature

@@ -64,10 +64,10 @@ def plan(once):
     return once("plan", lambda _: design(REFLEX))
 
 
-def few(n_clusters=4):
+def few(n_clusters=4, settings=REFLEX):
     """A small problem: the experiment at a few clusters of the thesis's multisine."""
     lines = CLUSTERS[2 :: 18 // n_clusters][:n_clusters]
-    return experiment_at(REFLEX, lines.ravel() / PERIOD), n_clusters
+    return experiment_at(settings, lines.ravel() / PERIOD), n_clusters
 
 
 def criterion(experiment, power, names, demand=None):
@@ -196,6 +196,16 @@ def test_optimum_is_that_of_a_general_method_and_keeps_the_limits(limits, held):
     assert (experiment.displacement(found.power) <= limits.displacement**2).all()
     if held is not None:
         assert (experiment.demand(found.power) <= held).all()
+
+
+def test_each_axis_has_a_hundredth_of_the_power_of_the_other():
+    settings = replace(REFLEX, goal="grip", model="1", noise="follows")
+    experiment, n_clusters = few(6, settings)
+    limits = Limits(settings.force, settings.displacement)
+    optimum = optimise(experiment, n_clusters, settings.wanted(), limits, settings.spread)
+    force = optimum.power.sum(axis=0)  # without that limit 7.5 mN along x
+    assert 0.01 * (1 - 1e-9) <= force.min() / force.max() < 0.0101
+    assert 0.0 <= optimum.excess < 1e-4
 
 
 @pytest.mark.slow(reason="optimises multisines")
