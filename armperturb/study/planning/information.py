@@ -114,7 +114,7 @@ class Experiment:
             np.linalg.inv(matrix) for matrix in (model.admittance(values), model.joint_impedance(values))
         )
         self._own = total @ to_hand @ self._jacobian @ to_joints
-        self._displacement = np.abs(total) ** 2
+        self._total = total
         held = 1.0 / np.abs(environment_admittance(environment, frequency)[:, 0, 0]) ** 2
         gauge, encoder = (2.0 * level**2 / noise.rate for level in noise.instruments)
         self._instruments = gauge * encoder / (gauge + held * encoder)
@@ -125,7 +125,7 @@ class Experiment:
 
     def displacement(self, power: Array) -> Array:
         """Mean square displacement of the handle that the lines cause, (axis,) [m^2]."""
-        return np.asarray(np.einsum("foi,fi->o", self._displacement, power))
+        return np.asarray(np.einsum("foi,fi->o", np.abs(self._total) ** 2, power))
 
     def noise(self, demand: Array) -> ComplexArray:
         """One-sided spectrum of what is beside the answer in the displacement [m^2/Hz], (frequency, axis, axis).
@@ -158,16 +158,19 @@ class Experiment:
         felt = np.einsum("foj,foai->fjai", weighted.conj(), self._gradient)
         return np.asarray(-2.0 * np.einsum("f,fa,fjai,fjak->jik", self._noise.slope, power, felt.conj(), felt).real)
 
-    def information_of(self, amplitudes: ComplexArray, demand: Array) -> Array:
-        """Fisher information per second of lines of known phases, (parameter, parameter).
+    def answer(self, force: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """Displacement that a force causes, and its derivative by each free parameter.
 
         Args:
-          amplitudes: of the lines, complex [N], (frequency, axis); the mean square of one is |amplitude|^2 / 2.
-          demand: for which the person is as noisy [Nm^2], (joint,).
+          force: Fourier transform at the frequencies of the lines, (frequency, axis).
+
+        Returns:
+          Likewise, (frequency, axis) and (frequency, axis, parameter).
         """
-        moved = np.einsum("foai,fa->foi", self._gradient, amplitudes)
-        weighted = np.linalg.solve(self.noise(demand), moved)
-        return np.asarray(np.einsum("foi,foj->ij", moved.conj(), weighted).real)
+        return (
+            np.asarray(np.einsum("foa,fa->fo", self._total, force)),
+            np.asarray(np.einsum("foai,fa->foi", self._gradient, force)),
+        )
 
     def standard_error(self, information: Array, duration: float, trials: int = 1) -> Array:
         """Least standard error of each parameter (Cramer-Rao), (parameter,), SI.

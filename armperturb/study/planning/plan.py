@@ -6,10 +6,9 @@ are pushed less is known of the synthetic ones alone. So by default the noise is
 multisine, and no joint is loaded more than by that one; what quieter people would add is told beside it.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 import pandas as pd
@@ -22,16 +21,16 @@ from armperturb.analysis.fit.joint_likelihood import SHARES
 from armperturb.analysis.fit.structures import unit
 from armperturb.analysis.fit.truth import true_values
 from armperturb.analysis.results import Description, Result
-from armperturb.arrays import Array, ComplexArray
+from armperturb.arrays import Array
 from armperturb.controllers.remnant import HUMAN_NOISE
-from armperturb.environment import TIMESTEP, Environment
-from armperturb.envs.lab.instruments import Instruments
+from armperturb.environment import Environment
 from armperturb.perturbations import CLUSTERS, Multisine, Sampled
 from armperturb.perturbations.line_spectrum import draw_multisine
 from armperturb.perturbations.multisine import DESIGN_RATE, PERIOD, PERIOD_SAMPLES
 from armperturb.seeds import trial_seed
-from armperturb.study.planning.information import Experiment, Limits, Noise, optimise
-from armperturb.study.planning.settings import DesignSettings, NoiseLaw, noise_levels
+from armperturb.study.planning.information import Limits, optimise
+from armperturb.study.planning.settings import DesignSettings, NoiseLaw
+from armperturb.study.planning.signals import Signal, experiment_at, multisine_signal, proposed_signal
 from armperturb.subject import Subject
 from armperturb.validation import require_type
 
@@ -55,25 +54,6 @@ def cluster_starts(period: float = PERIOD) -> NDArray[np.int64]:
     while (following := max(starts[-1] + GAP, round(RATIO * starts[-1]))) <= highest:
         starts.append(following)
     return np.array(starts)
-
-
-class Signal(NamedTuple):
-    """What a perturbation will tell.
-
-    Attributes:
-      frequency: of its lines [Hz], (line,).
-      power: mean square force [N^2], (line, axis).
-      standard_error: law of the noise to the least standard error of each free parameter, from all trials, SI,
-        (parameter,).
-      displacement: RMS displacement of the handle that it causes, on average over phases [m], (axis,).
-      duration: of a trial [s].
-    """
-
-    frequency: Array
-    power: Array
-    standard_error: Mapping[NoiseLaw, Array]
-    displacement: Array
-    duration: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -243,62 +223,12 @@ def design(settings: DesignSettings) -> Design:
         settings=settings,
         names=structure.free,
         truth=true_values(settings.subject, structure),
-        thesis=_signal(usual, thesis, usual_demand, duration, settings.trials),
-        optimised=_signal(best, scale**2 * optimum.power, usual_demand, duration, settings.trials),
+        thesis=multisine_signal(usual, thesis, usual_demand, settings),
+        optimised=multisine_signal(best, scale**2 * optimum.power, usual_demand, settings),
         proposed=None if settings.perturbation is None else proposed_signal(settings, usual_demand),
         perturbations=tuple(Sampled(force=scale * each.force, rate=each.rate) for each in drawn),
         excess=optimum.excess,
     )
-
-
-def experiment_at(settings: DesignSettings, frequency: Array) -> Experiment:
-    """The planned experiment with lines at these frequencies [Hz], (frequency,)."""
-    human, instruments = HUMAN_NOISE[settings.subject.task], Instruments()
-    floor, louder = (human.torque_spectrum([rms, rms], TIMESTEP, frequency)[:, 0] for rms in (0.0, 1.0))
-    noise = Noise(floor, louder - floor, noise_levels(instruments), DESIGN_RATE)
-    return Experiment(settings.subject, settings.structure(), Environment(), frequency, noise)
-
-
-def proposed_signal(settings: DesignSettings, usual_demand: Array) -> Signal:
-    """What the proposed perturbation tells, with the phases that it has.
-
-    Args:
-      settings: with a proposed perturbation; each trial plays it for as long as it lasts.
-      usual_demand: with which the thesis's multisine loads each joint [Nm^2], (joint,).
-
-    Raises:
-      ValueError: it tells nothing about some of the model's parameters; the message names them.
-    """
-    assert settings.perturbation is not None
-    lasts = settings.perturbation.duration
-    n_samples = round(lasts * DESIGN_RATE)
-    spectrum = 2.0 * rfft(settings.perturbation.sample(DESIGN_RATE, n_samples), axis=0) / n_samples
-    frequency = np.arange(len(spectrum)) * DESIGN_RATE / n_samples
-    usable = (frequency > 0.0) & (frequency < DESIGN_RATE / 2.0)  # a constant force tells nothing of what moves
-    of, amplitudes = experiment_at(settings, frequency[usable]), spectrum[usable]
-    try:
-        return _signal(of, np.abs(amplitudes) ** 2 / 2.0, usual_demand, lasts, settings.trials, amplitudes)
-    except ValueError as error:
-        raise ValueError(f"perturbation: {error}") from None
-
-
-def _signal(
-    of: Experiment,
-    powers: Array,
-    usual_demand: Array,
-    duration: float,
-    trials: int,
-    amplitudes: ComplexArray | None = None,
-) -> Signal:
-    """What lines tell, of any phases or of those of the amplitudes, (frequency, axis)."""
-
-    def information(demand: Array) -> Array:
-        return of.information(powers, demand) if amplitudes is None else of.information_of(amplitudes, demand)
-
-    demand_alone = of.demand(powers)
-    demands: dict[NoiseLaw, Array] = {"held": np.maximum(demand_alone, usual_demand), "follows": demand_alone}
-    errors = {law: of.standard_error(information(demand), duration, trials) for law, demand in demands.items()}
-    return Signal(of.frequency, powers, errors, np.sqrt(of.displacement(powers)), duration)
 
 
 def balanced(subject: Subject, perturbation: Sampled, n_period: int) -> Sampled:

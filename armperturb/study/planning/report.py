@@ -20,8 +20,9 @@ from armperturb.perturbations import save_perturbation
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.plots.style import COLOURS, INK, PUBLISHED, figure_for, in_style, save_plot
 from armperturb.study.planning.information import effective_duration
-from armperturb.study.planning.plan import Design, Signal
+from armperturb.study.planning.plan import Design
 from armperturb.study.planning.settings import NoiseLaw
+from armperturb.study.planning.signals import Signal
 
 LOOKS = {
     "thesis's multisine": {"color": PUBLISHED["color"]},
@@ -70,7 +71,7 @@ def describe(design: Design) -> Description:
     other: NoiseLaw = "follows" if settings.noise == "held" else "held"
     signals = []
     for name, signal in _signals(design):
-        forces = ", ".join(f"{value:.2f}" for value in np.sqrt(signal.power.sum(axis=0)))
+        forces = ", ".join(f"{value:.2f}" for value in signal.force)
         moves = ", ".join(f"{1e3 * value:.1f}" for value in signal.displacement)
         lasts = "" if signal.duration == settings.duration else f"; {signal.duration:g} s"
         signals.append(f"{name}: RMS force x, y {forces} N; RMS displacement {moves} mm{lasts}")
@@ -90,6 +91,9 @@ def describe(design: Design) -> Description:
     remarks = departures(settings.structure(), settings.subject)
     if design.factors[other] > 1.0:
         remarks = (f"the optimised multisine is worse than the thesis's {LAWS[other]}", *remarks)
+    if design.proposed is not None and design.proposed.refusal:
+        refused = "identify refuses recordings of the proposed perturbation alone, as far as simulated ones show"
+        remarks = (f"{refused}: {design.proposed.refusal}", *remarks)
     return Description(
         title=f"Design for {settings.subject.name!r} ({settings.subject.task}), model {settings.model_name()}, goal "
         f"{settings.goal}: {settings.trials} trial{'' if settings.trials == 1 else 's'} of {settings.duration:g} s, "

@@ -80,8 +80,8 @@ class DesignSettings:
     """Noise of the person: held at its level under the thesis's multisine, also under less load; or following the load,
     as the noise of the synthetic people does."""
     perturbation: Perturbation | None = None
-    """CSV file (see simulate) of another perturbation, whose standard errors are given for comparison; it need not keep
-    the limits."""
+    """CSV file (see simulate) of another perturbation, whose standard errors are given for comparison: it is played
+    once, by a person at rest before it; it need not keep the limits."""
     seed: int = 0
     """Seed of the phases."""
 

@@ -17,7 +17,7 @@ from armperturb.analysis.fit.identify import identify
 from armperturb.analysis.fit.likelihood import TAPER
 from armperturb.analysis.fit.maximum_likelihood import estimate
 from armperturb.analysis.fit.structures import STRUCTURES
-from armperturb.analysis.fit.truth import at_truth
+from armperturb.analysis.fit.truth import at_truth, true_values
 from armperturb.analysis.force_balance import EDGE, NoiseLevels
 from armperturb.analysis.results import LINES
 from armperturb.controllers.remnant import HUMAN_NOISE
@@ -31,16 +31,10 @@ from armperturb.perturbations.line_spectrum import draw_multisine
 from armperturb.perturbations.multisine import PERIOD, PERIOD_SAMPLES
 from armperturb.plots.style import new_figure
 from armperturb.study.planning.information import Experiment, Limits, Noise, effective_duration, optimise
-from armperturb.study.planning.plan import (
-    DesignSettings,
-    cluster_starts,
-    design,
-    displacements,
-    experiment_at,
-    noise_levels,
-    proposed_signal,
-)
+from armperturb.study.planning.plan import cluster_starts, design, displacements
 from armperturb.study.planning.report import write_design
+from armperturb.study.planning.settings import DesignSettings, noise_levels
+from armperturb.study.planning.signals import experiment_at, proposed_signal
 from armperturb.study.validation.validate import ValidateSettings
 from armperturb.subject import POSITION, RELAX
 
@@ -105,9 +99,9 @@ def test_information_is_that_of_a_time_series_in_white_noise():
         expected += 0.5 * rows @ rows.T / level**2
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     np.testing.assert_allclose(experiment.information(power) * PERIOD / scale, expected / scale, atol=1e-6)
-    rows = np.array([slope(name, 1.0) for name in STRUCTURE.free])
-    found = experiment.information_of(phasors, np.zeros(2))
-    np.testing.assert_allclose(found * PERIOD / scale, rows @ rows.T / level**2 / scale, atol=1e-6)
+    slopes = (turns @ experiment.answer(phasors)[1].reshape(len(frequency), -1)).real
+    expected = np.stack([slope(name, 1.0) for name in STRUCTURE.free], axis=1)
+    np.testing.assert_allclose(slopes.reshape(-1, 13), expected, atol=1e-7 * np.abs(expected).max())
 
 
 def test_noise_is_what_a_person_at_rest_and_the_instruments_leave_in_a_record():
@@ -423,6 +417,60 @@ def test_a_proposed_perturbation_is_told_beside(plan):
     share = effective_duration(2 * PERIOD) / effective_duration(32.0)
     expected = plan.thesis.standard_error["follows"] / np.sqrt(share)
     np.testing.assert_allclose(np.sqrt(np.mean(squares, axis=0)), expected, rtol=0.1)
+
+
+TIME = np.arange(6400) / 200.0
+
+
+def proposed(force, **changes):
+    """What a person who relaxes is told by a force (time, axis), and that force."""
+    settings = DesignSettings(subject=RELAX, goal="intrinsic", force=0.9, displacement=7.5e-3, duration=32.0, trials=4)
+    played = Sampled(force=force, rate=200.0)
+    return proposed_signal(replace(settings, perturbation=played, **changes), np.zeros(2)), played
+
+
+@pytest.mark.slow(reason="identifies simulated trials")
+def test_steps_that_are_held_tell_as_much_as_their_records():
+    """The end of the record is no jump back, and the constant force makes the person noisier."""
+    steps = 6.0 * np.stack([np.clip((TIME - onset) / 0.1, 0.0, 1.0) for onset in (2.0, 12.0)], axis=1)
+    signal, played = proposed(steps)
+    assert not signal.refusal
+    np.testing.assert_allclose(signal.force, np.sqrt(np.mean(steps**2, axis=0)))
+    human = replace(HUMAN_NOISE["RT"], spread_b=0.0, spread_k=0.0)
+    trials = [Trial(subject=RELAX, perturbation=played, repetition=n, seed=n, noise=human) for n in range(4)]
+    recording = run_experiment(trials, linear=True, instruments=Instruments(marker_noise=None, emg=None), n_threads=1)
+    moved = np.sqrt(np.mean(recording["displacement"].values ** 2, axis=(0, 1)))
+    np.testing.assert_allclose(signal.displacement, moved, rtol=0.15)  # the person moves as well
+    structure = at_truth(STRUCTURES["1"], RELAX)
+    values = structure.parameters("RT", true_values(RELAX, structure))
+    (record,) = Group.prepare(recording, structure).records
+    record.weigh(values)
+    of_record = np.sqrt(np.diag(np.linalg.inv(record.normal(values, structure.mixing).information)))
+    np.testing.assert_allclose(signal.standard_error["follows"], of_record, rtol=0.35)
+    ratio = np.exp(np.mean(np.log(signal.standard_error["follows"] / of_record)))
+    assert ratio == pytest.approx(1.0, abs=0.1)
+
+
+def test_what_a_proposal_tells_does_not_depend_on_how_it_would_go_on():
+    tones = ((1.0, 3.1), (1.7, 4.3))
+    slow = np.stack([sum(np.sin(2 * np.pi * tone * TIME + 0.5) for tone in of_axis) for of_axis in tones], axis=1)
+    # Their ends differ by up to 2.6 N from their starts. Longer records tell more, by so little as a second can.
+    errors = np.array([proposed(slow[: round(200 * s)])[0].standard_error["follows"] for s in (10.0, 10.5, 11.0, 12.0)])
+    ratio = errors[1:] / errors[:-1]
+    assert (ratio < 1.01).all()
+    assert (ratio > 0.9).all()
+
+
+def test_a_proposal_that_identify_refuses_is_remarked_upon(plan):
+    rising, _ = proposed(np.outer(TIME / 32.0, [6.0, 3.0]))
+    assert "not independent" in rising.refusal
+    column = STRUCTURES["1"].free.index("k_e")
+    assert rising.standard_error["follows"][column] > RELAX.k_e  # as a record that repeats 2 % of it
+    noise = RNG.standard_normal((6400, 1))
+    for axes in ([1.0, 0.0], [1.0, 1.0]):
+        assert "not independent" in proposed(noise * axes)[0].refusal
+    remarks = replace(plan, proposed=plan.thesis._replace(refusal=rising.refusal)).describe().remarks
+    assert remarks[0].startswith("identify refuses recordings of the proposed perturbation alone")
 
 
 def test_a_proposal_that_tells_nothing_is_refused():
