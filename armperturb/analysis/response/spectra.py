@@ -258,8 +258,8 @@ def _require_two_directions(phi_dd: ComplexArray, frequency: Array) -> None:
     if silent.any():
         line, axis = np.argwhere(silent)[0]
         raise ValueError(
-            f"the disturbance along {'xy'[axis]} has no power at {frequency[line]:.3f} Hz; expected a disturbance along "
-            "both axes, or a trial for each direction"
+            f"the disturbance along {'xy'[axis]} has no power at {frequency[line]:.3f} Hz; expected a disturbance "
+            "along both axes, or a trial for each direction"
         )
     # Zero for disturbances that are proportional, whatever their sizes.
     independence = np.linalg.det(phi_dd).real / power.prod(axis=1)

@@ -192,11 +192,11 @@ class Limits(NamedTuple):
     """What a multisine must keep.
 
     Attributes:
-      force: largest RMS force per axis [N].
+      force: largest RMS force per axis [N], the same of both or (axis,).
       displacement: largest RMS displacement of the handle per axis that it causes, on average over phases [m].
     """
 
-    force: float
+    force: float | Array
     displacement: float
 
 
@@ -242,15 +242,20 @@ class _Shares:
         n_lines = len(experiment.frequency) // clusters
         even = np.kron((1.0 - spread) * np.eye(clusters) + spread / clusters, np.full((n_lines, 1), 1.0 / n_lines))
         spreading = np.zeros((clusters * n_lines, 2, 2 * clusters))
-        spreading[:, 0, :clusters] = spreading[:, 1, clusters:] = limits.force**2 * even
+        most = np.broadcast_to(limits.force, 2) ** 2
+        spreading[:, 0, :clusters], spreading[:, 1, clusters:] = (each * even for each in most)
         columns = np.moveaxis(spreading, 2, 0)
-        force = np.array([column.sum(axis=0) for column in columns]).T / limits.force**2
+        force = np.array([column.sum(axis=0) for column in columns]).T
         displacement = np.array([experiment.displacement(column) for column in columns]).T / limits.displacement**2
         demand = np.array([experiment.demand(column) for column in columns]).T
-        allowed = np.concatenate([force, displacement, *([] if held is None else [demand / held[:, None]])])
+        allowed = np.concatenate(
+            [force / most[:, None], displacement, *([] if held is None else [demand / held[:, None]])]
+        )
         # In shares of about one, where limits other than that of the force allow far less than it.
         unit = 1.0 / max(1.0, float(allowed.max(axis=0).min()))
-        floors = np.empty((0, 2 * clusters)) if least_ratio is None else least_ratio * force - force[::-1]
+        floors = (
+            np.empty((0, 2 * clusters)) if least_ratio is None else (least_ratio * force - force[::-1]) / most.max()
+        )
         self.limits = unit * np.concatenate([allowed, floors])
         self.bounds = np.concatenate([np.ones(len(allowed)), np.zeros(len(floors))])
         self.spreading, self.demand = unit * spreading, unit * demand

@@ -38,6 +38,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+PEAK_ROUNDS = 5
+"""How often the optimum is sought where the largest force is limited: the ratio to RMS force hardly changes then."""
+
 GAP, RATIO = 7, 1.06
 """From a cluster to the next: at least so many lines (three empty ones between), and such a ratio of frequencies."""
 
@@ -68,7 +71,8 @@ class Design(Result):
       optimised: the best multisine within the limits.
       proposed: the proposed perturbation, played in every trial, if there is one.
       perturbations: realisations of the optimised one, one per trial.
-      excess: bound of how far the optimum is from the best, see `information.Optimum` [-].
+      excess: bound of how far the optimum is from the best, see `information.Optimum` [-]; None if the limit of the
+        largest force binds, for which there is no bound.
     """
 
     settings: DesignSettings
@@ -78,7 +82,7 @@ class Design(Result):
     optimised: Signal
     proposed: Signal | None
     perturbations: tuple[Sampled, ...]
-    excess: float
+    excess: float | None
 
     @property
     def factor(self) -> float:
@@ -191,44 +195,73 @@ def design(settings: DesignSettings) -> Design:
       ValueError: no multisine tells about some of the model's parameters; the message names them.
     """
     require_type("design: settings", settings, DesignSettings, "DesignSettings")
-    force, displacement, duration = settings.force, settings.displacement, settings.duration
-    structure, starts = settings.structure(), cluster_starts(settings.period)
-    n_period = round(settings.period * DESIGN_RATE)
-    seeds = [trial_seed(settings.seed, "design", number) for number in range(settings.trials)]
+    force, displacement = settings.force, settings.displacement
+    structure = settings.structure()
 
     usual = experiment_at(settings, CLUSTERS.ravel() / PERIOD)
     multisine = Multisine(rms=force, phases=np.zeros((2, CLUSTERS.size)))
     thesis = np.repeat(multisine.amplitudes[:, None] ** 2 / 2.0, 2, axis=1)
     thesis /= max(1.0, float(usual.displacement(thesis).max()) / displacement**2)
     if settings.peak is not None:
-        multisines = [Multisine.draw(seed=seed, rms=float(np.sqrt(thesis[:, 0].sum()))) for seed in seeds]
+        multisines = [Multisine.draw(seed=seed, rms=float(np.sqrt(thesis[:, 0].sum()))) for seed in _seeds(settings)]
         largest = max(float(np.abs(each.sample(DESIGN_RATE, PERIOD_SAMPLES)).max()) for each in multisines)
         thesis *= min(1.0, settings.peak / largest) ** 2
     usual_demand = usual.demand(thesis)
 
-    lines = (starts[:, None] + np.arange(CLUSTERS.shape[1])).ravel()
-    best = experiment_at(settings, lines / settings.period)
-    held = usual_demand if settings.noise == "held" else None
-    limits = Limits(force, displacement)
-    optimum = optimise(best, len(starts), settings.wanted(), limits, settings.spread, held)
-    played = (draw_multisine(lines, optimum.power, seed=seed, duration=duration, n_period=n_period) for seed in seeds)
-    drawn = [balanced(settings.subject, perturbation, n_period) for perturbation in played]
-    # How x and y add up depends on the phases: the worst trial must be within the limits.
-    moved = max(float(displacements(settings.subject, each, n_period).max()) for each in drawn)
-    scale = min(1.0, displacement / moved)
-    if settings.peak is not None:
-        scale = min(scale, settings.peak / max(float(np.abs(each.force).max()) for each in drawn))
-
+    optimised, perturbations, excess = _best_multisine(settings, usual_demand)
     return Design(
         settings=settings,
         names=structure.free,
         truth=true_values(settings.subject, structure),
         thesis=multisine_signal(usual, thesis, usual_demand, settings),
-        optimised=multisine_signal(best, scale**2 * optimum.power, usual_demand, settings),
+        optimised=optimised,
         proposed=None if settings.perturbation is None else proposed_signal(settings, usual_demand),
-        perturbations=tuple(Sampled(force=scale * each.force, rate=each.rate) for each in drawn),
-        excess=optimum.excess,
+        perturbations=perturbations,
+        excess=excess,
     )
+
+
+def _seeds(settings: DesignSettings) -> list[int]:
+    return [trial_seed(settings.seed, "design", number) for number in range(settings.trials)]
+
+
+def _best_multisine(settings: DesignSettings, usual_demand: Array) -> tuple[Signal, tuple[Sampled, ...], float | None]:
+    """The best multisine within the limits, its realisations, and the bound of how far from the best it is.
+
+    The largest force depends on the phases, so that its limit is none of the optimisation's. It becomes a limit of the
+    RMS force of each axis by the ratio that the realisations have, for which the optimum is sought anew.
+    """
+    starts, n_period = cluster_starts(settings.period), round(settings.period * DESIGN_RATE)
+    lines = (starts[:, None] + np.arange(CLUSTERS.shape[1])).ravel()
+    best = experiment_at(settings, lines / settings.period)
+    held = usual_demand if settings.noise == "held" else None
+    peak = np.inf if settings.peak is None else settings.peak
+    force = np.full(2, settings.force)
+    candidates: list[tuple[Signal, tuple[Sampled, ...]]] = []
+    for number in range(PEAK_ROUNDS):
+        limits = Limits(force, settings.displacement)
+        optimum = optimise(best, len(starts), settings.wanted(), limits, settings.spread, held)
+        drawn = [
+            balanced(
+                settings.subject,
+                draw_multisine(lines, optimum.power, seed=seed, duration=settings.duration, n_period=n_period),
+                n_period,
+            )
+            for seed in _seeds(settings)
+        ]
+        largest = np.max([np.abs(each.force).max(axis=0) for each in drawn], axis=0)
+        weaker = np.minimum(1.0, peak / largest)
+        drawn = [Sampled(force=weaker * each.force, rate=each.rate) for each in drawn]
+        # How x and y add up depends on the phases: the worst trial must be within the limits.
+        moved = max(float(displacements(settings.subject, each, n_period).max()) for each in drawn)
+        scale = min(1.0, settings.displacement / moved)
+        signal = multisine_signal(best, (scale * weaker) ** 2 * optimum.power, usual_demand, settings)
+        candidates.append((signal, tuple(Sampled(force=scale * each.force, rate=each.rate) for each in drawn)))
+        if number == 0 and (largest <= peak).all():
+            return *candidates[0], optimum.excess
+        force = np.minimum(settings.force, np.sqrt(optimum.power.sum(axis=0)) * peak / largest)
+    columns = [best.names.index(name) for name in settings.wanted()]
+    return *min(candidates, key=lambda each: np.sum(np.log(each[0].standard_error[settings.noise][columns]))), None
 
 
 def balanced(subject: Subject, perturbation: Sampled, n_period: int) -> Sampled:

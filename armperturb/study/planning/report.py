@@ -83,6 +83,8 @@ def describe(design: Design) -> Description:
         *signals,
         f"largest force of the realisations: {design.signal_frame()['peak_force_N'].max():.1f} N",
     ]
+    if design.excess is None:
+        details.append("the limit of the largest force binds: no bound is known of how far this is from the best")
     if settings.period < PERIOD or settings.start < WINDOW_START:
         details.append(
             f"period {settings.period:g} s, for which there is time: identify with --period {settings.period:g} "

@@ -281,6 +281,22 @@ def test_a_limit_of_the_peak_binds_both_signals(plan):
 
 
 @pytest.mark.slow(reason="optimises multisines")
+def test_a_plan_under_a_limit_of_the_peak_is_as_good_whatever_force_is_allowed(tmp_path, blank_pictures):
+    relaxed = DesignSettings(
+        subject=RELAX, goal="intrinsic", force=0.9, displacement=0.01, duration=32.0, trials=1, peak=1.0
+    )
+    strong, weak = (design(replace(relaxed, force=force)) for force in (0.9, 0.6))
+    assert strong.factor < 1.02 * weak.factor
+    moved = [each.signal_frame()["rms_displacement_m"].max() for each in (strong, weak)]
+    assert min(moved) > 0.98 * relaxed.displacement
+    assert 0.0 <= weak.excess < 1e-3  # the force binds, and the peak does not
+    assert strong.excess is None
+    assert "the limit of the largest force binds" in strong.summary()
+    write_design(strong, tmp_path)
+    assert json.loads((tmp_path / "settings.json").read_text())["excess"] is None
+
+
+@pytest.mark.slow(reason="optimises multisines")
 def test_simulated_records_hold_the_predicted_information_and_estimates_scatter_by_it(plan):
     """Both signals: the records' own Fisher information, and a chi2 of the estimates' errors."""
     structure = ValidateSettings(model="3b").structure()
