@@ -21,9 +21,8 @@ from armperturb.analysis.fit.joint_likelihood import SHARES
 from armperturb.analysis.fit.structures import unit
 from armperturb.analysis.fit.truth import true_values
 from armperturb.analysis.results import Description, Result
-from armperturb.arrays import Array
+from armperturb.arrays import Array, ComplexArray
 from armperturb.controllers.remnant import HUMAN_NOISE
-from armperturb.environment import Environment
 from armperturb.perturbations import CLUSTERS, Multisine, Sampled
 from armperturb.perturbations.line_spectrum import draw_multisine
 from armperturb.perturbations.multisine import DESIGN_RATE, PERIOD, PERIOD_SAMPLES
@@ -31,7 +30,6 @@ from armperturb.seeds import trial_seed
 from armperturb.study.planning.information import Limits, optimise
 from armperturb.study.planning.settings import DesignSettings, NoiseLaw
 from armperturb.study.planning.signals import Signal, experiment_at, multisine_signal, proposed_signal
-from armperturb.subject import Subject
 from armperturb.validation import require_type
 
 if TYPE_CHECKING:
@@ -177,10 +175,10 @@ class Design(Result):
 
     def signal_frame(self) -> pd.DataFrame:
         """RMS and largest force, and RMS displacement of the handle, of each realisation and axis."""
-        n_period = round(self.settings.period * DESIGN_RATE)
+        n_period = period_samples(self.settings)
         rows: list[tuple[Any, ...]] = []
         for number, signal in enumerate(self.perturbations, start=1):
-            moved = displacements(self.settings.subject, signal, n_period)
+            moved = displacements(self.settings, signal)
             for axis, force, displacement in zip("xy", signal.force.T, moved, strict=True):
                 rms = np.sqrt(np.mean(force[:n_period] ** 2))
                 rows.append((number, axis, rms, np.abs(force).max(), displacement))
@@ -231,7 +229,7 @@ def _best_multisine(settings: DesignSettings, usual_demand: Array) -> tuple[Sign
     The largest force depends on the phases, so that its limit is none of the optimisation's. It becomes a limit of the
     RMS force of each axis by the ratio that the realisations have, for which the optimum is sought anew.
     """
-    starts, n_period = cluster_starts(settings.period), round(settings.period * DESIGN_RATE)
+    starts, n_period = cluster_starts(settings.period), period_samples(settings)
     lines = (starts[:, None] + np.arange(CLUSTERS.shape[1])).ravel()
     best = experiment_at(settings, lines / settings.period)
     held = usual_demand if settings.noise == "held" else None
@@ -243,9 +241,8 @@ def _best_multisine(settings: DesignSettings, usual_demand: Array) -> tuple[Sign
         optimum = optimise(best, len(starts), settings.wanted(), limits, settings.spread, held)
         drawn = [
             balanced(
-                settings.subject,
+                settings,
                 draw_multisine(lines, optimum.power, seed=seed, duration=settings.duration, n_period=n_period),
-                n_period,
             )
             for seed in _seeds(settings)
         ]
@@ -253,7 +250,7 @@ def _best_multisine(settings: DesignSettings, usual_demand: Array) -> tuple[Sign
         weaker = np.minimum(1.0, peak / largest)
         drawn = [Sampled(force=weaker * each.force, rate=each.rate) for each in drawn]
         # How x and y add up depends on the phases: the worst trial must be within the limits.
-        moved = max(float(displacements(settings.subject, each, n_period).max()) for each in drawn)
+        moved = max(float(displacements(settings, each).max()) for each in drawn)
         scale = min(1.0, settings.displacement / moved)
         signal = multisine_signal(best, (scale * weaker) ** 2 * optimum.power, usual_demand, settings)
         candidates.append((signal, tuple(Sampled(force=scale * each.force, rate=each.rate) for each in drawn)))
@@ -264,18 +261,23 @@ def _best_multisine(settings: DesignSettings, usual_demand: Array) -> tuple[Sign
     return *min(candidates, key=lambda each: np.sum(np.log(each[0].standard_error[settings.noise][columns]))), None
 
 
-def balanced(subject: Subject, perturbation: Sampled, n_period: int) -> Sampled:
+def period_samples(settings: DesignSettings) -> int:
+    """Samples of a period of the optimised multisine."""
+    return round(settings.period * DESIGN_RATE)
+
+
+def balanced(settings: DesignSettings, perturbation: Sampled) -> Sampled:
     """The perturbation with y later by so much that x and y together move the handle as they do on average over phases.
 
     On its few lines an optimum may else move it by a third more or less. Neither spectra nor peaks change.
 
     Args:
-      subject: who is perturbed.
-      perturbation: a periodic one.
-      n_period: samples per period.
+      settings: who is perturbed, what the hand holds, and the period.
+      perturbation: of that period.
     """
+    n_period = period_samples(settings)
     spectrum = rfft(perturbation.force[:n_period], axis=0)
-    total = total_admittance(subject, Environment(), np.arange(1, len(spectrum)) * perturbation.rate / n_period)
+    total = _total(settings, len(spectrum) - 1)
     by_axis = total * spectrum[1:, None]
     alone = np.sum(np.abs(by_axis) ** 2, axis=(0, 2))
     # Of both together, for each delay of y in samples.
@@ -286,14 +288,19 @@ def balanced(subject: Subject, perturbation: Sampled, n_period: int) -> Sampled:
     return Sampled(force=np.resize(period, perturbation.force.shape), rate=perturbation.rate)
 
 
-def displacements(subject: Subject, perturbation: Sampled, n_period: int = PERIOD_SAMPLES) -> Array:
+def displacements(settings: DesignSettings, perturbation: Sampled) -> Array:
     """RMS displacement of the handle that a periodic perturbation causes once its start is forgotten [m], (axis,).
 
     Args:
-      subject: who is perturbed.
+      settings: who is perturbed, what the hand holds, and the period.
       perturbation: of at least a period.
-      n_period: samples per period.
     """
+    n_period = period_samples(settings)
     spectrum = rfft(perturbation.force[:n_period], axis=0)[1:] / n_period
-    total = total_admittance(subject, Environment(), np.arange(1, len(spectrum) + 1) * perturbation.rate / n_period)
+    total = _total(settings, len(spectrum))
     return np.asarray(np.sqrt(2.0 * np.sum(np.abs(np.einsum("fij,fj->fi", total, spectrum)) ** 2, axis=0)))
+
+
+def _total(settings: DesignSettings, n_lines: int) -> ComplexArray:
+    """Admittance of arm and manipulator at the first lines of the period [m/N], (line, output, input)."""
+    return total_admittance(settings.subject, settings.environment, np.arange(1, n_lines + 1) / settings.period)

@@ -69,6 +69,7 @@ def describe(design: Design) -> Description:
         value = f"{row['value']:.4g}"
         rows.append((row["parameter"] + mark, value, row["unit"], *cells, f"{row['ratio']:.2f}", vary))
     other: NoiseLaw = "follows" if settings.noise == "held" else "held"
+    mass, damping, stiffness = settings.manipulator
     signals = []
     for name, signal in _signals(design):
         forces = ", ".join(f"{value:.2f}" for value in signal.force)
@@ -80,6 +81,7 @@ def describe(design: Design) -> Description:
         "optimised over",
         "thesis's; *: the goal; between trials: what adds, as squares, because parameters of synthetic people differ "
         "from trial to trial",
+        f"manipulator: {mass:g} kg, {damping:g} Ns/m, {stiffness:g} N/m",
         *signals,
         f"largest force of the realisations: {design.signal_frame()['peak_force_N'].max():.1f} N",
     ]

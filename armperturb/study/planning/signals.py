@@ -13,7 +13,7 @@ from armperturb.analysis.fit.likelihood import MEMORY, judged_part
 from armperturb.analysis.force_balance import EDGE
 from armperturb.arrays import Array
 from armperturb.controllers.remnant import HUMAN_NOISE
-from armperturb.environment import TIMESTEP, Environment
+from armperturb.environment import TIMESTEP
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.trial import Trial
@@ -59,7 +59,7 @@ def experiment_at(settings: DesignSettings, frequency: Array) -> Experiment:
     human, instruments = HUMAN_NOISE[settings.subject.task], Instruments()
     floor, louder = (human.torque_spectrum([rms, rms], TIMESTEP, frequency)[:, 0] for rms in (0.0, 1.0))
     noise = Noise(floor, louder - floor, noise_levels(instruments), DESIGN_RATE)
-    return Experiment(settings.subject, settings.structure(), Environment(), frequency, noise)
+    return Experiment(settings.subject, settings.structure(), settings.environment, frequency, noise)
 
 
 def multisine_signal(of: Experiment, power: Array, usual_demand: Array, settings: DesignSettings) -> Signal:
@@ -145,7 +145,7 @@ def _identified_up_to(settings: DesignSettings, force: Array) -> tuple[float, st
     ]
     instruments = Instruments(marker_noise=None, emg=None)
     try:
-        recording = run_experiment(trials, linear=True, instruments=instruments, n_threads=1)
+        recording = run_experiment(trials, settings.environment, linear=True, instruments=instruments, n_threads=1)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # on a coherence that is not asked for
             return Group.prepare(recording, settings.structure()).top, ""

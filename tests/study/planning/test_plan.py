@@ -264,12 +264,16 @@ def test_realisations_keep_the_limits_and_the_spectrum(plan):
     assert not np.allclose(plan.perturbations[0].force, plan.perturbations[1].force, atol=0.1)
 
 
-def test_displacements_are_those_of_the_simulated_arm(plan):
+@pytest.mark.parametrize("manipulator", [REFLEX.manipulator, (1.0, 20.0, 0.0)])
+def test_displacements_are_those_of_the_simulated_arm(plan, manipulator):
+    settings, played = replace(REFLEX, manipulator=manipulator), plan.perturbations[0]
     recording = run_experiment(
-        [Trial(subject=POSITION, perturbation=plan.perturbations[0])], linear=True, n_threads=1
+        [Trial(subject=POSITION, perturbation=played)], settings.environment, linear=True, n_threads=1
     ).sel(time=slice(8.0, 8.0 + PERIOD - 0.001))
     expected = np.sqrt(np.mean(recording["displacement"].values[0] ** 2, axis=0))
-    np.testing.assert_allclose(displacements(POSITION, plan.perturbations[0]), expected, rtol=2e-3)
+    np.testing.assert_allclose(displacements(settings, played), expected, rtol=2e-3)
+    on_average = experiment_at(settings, plan.optimised.frequency).displacement(plan.optimised.power)
+    np.testing.assert_allclose(np.sqrt(on_average), expected, rtol=0.07)  # mean over phases
 
 
 @pytest.mark.slow(reason="optimises multisines")
@@ -381,6 +385,8 @@ def test_draw_multisine_refuses_and_repeats():
         ({"peak": 0.0}, "peak.*= 0"),
         ({"spread": 1.5}, "spread = 1.5"),
         ({"seed": -1}, "seed = -1"),
+        ({"manipulator": (3.0, 0.5)}, r"manipulator = \(3.0, 0.5\); expected mass, damping and stiffness"),
+        ({"manipulator": (0.0, 0.5, 20.0)}, "m_env = 0"),
         ({"subject": replace(POSITION, kv_s=1e3)}, "unstable"),
     ],
 )
@@ -533,8 +539,10 @@ def test_the_command_writes_what_simulate_plays(tmp_path, capsys):
     own = ["--perturbation", str(tmp_path / "own.csv")]
     assert cli.main(["design", *arguments, *own, "--trials", "2", "--out", str(out)]) == 1
     assert "trial_09.csv: exists already" in capsys.readouterr().err
-    assert cli.main(["design", *arguments, *own, "--trials", "2", "--out", str(out), "--overwrite"]) == 0
+    light = ["--manipulator", "2.5", "0.5", "20"]
+    assert cli.main(["design", *arguments, *own, *light, "--trials", "2", "--out", str(out), "--overwrite"]) == 0
     said = capsys.readouterr().out
+    assert "manipulator: 2.5 kg, 0.5 Ns/m, 20 N/m" in said
     assert "kv_se" in said
     assert "with the noise held" in said
     assert "proposed: RMS force x, y" in said
@@ -545,6 +553,7 @@ def test_the_command_writes_what_simulate_plays(tmp_path, capsys):
     made = json.loads((out / "settings.json").read_text())
     assert made["factor"] == pytest.approx(np.exp(np.mean(np.log(ratios))))
     assert made["settings"]["subject"]["kv_s"] == POSITION.kv_s
+    assert made["settings"]["manipulator"] == [2.5, 0.5, 20.0]
     assert made["factor"] == made["factor_noise_held"]
     assert all(float(row["sem_proposed"]) > float(row["sem_optimised"]) for row in rows.values())
     assert (out / "figures" / "design.svg").read_text().startswith("<?xml")
