@@ -28,7 +28,9 @@ from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Multisine, Perturbation
 from armperturb.seeds import trial_seed
-from armperturb.study.planning.plan import Design, DesignSettings, NoiseLaw, design, experiment_at
+from armperturb.study.planning.plan import Design, design
+from armperturb.study.planning.settings import DesignSettings, NoiseLaw
+from armperturb.study.planning.signals import experiment_at
 from armperturb.study.validation.validate import ValidateSettings
 from armperturb.subject import POSITION, RELAX
 

@@ -203,7 +203,7 @@ DAMAGE = {
     "no force": (lambda r: r.drop_vars("force"), "variable 'force' is missing"),
     "rate": (lambda r: r.isel(time=slice(None, None, 4)), "rate = 200 Hz"),
     "too short": (lambda r: r.isel(time=slice(800)), "the recording lasts 4 s; expected at least 5 s"),
-    "one direction": (lambda r: r.assign(perturbation=r["perturbation"] * [1.0, 0.0]), "are not independent"),
+    "one direction": (lambda r: r.assign(perturbation=r["perturbation"] * [1.0, 0.0]), "along y has no power"),
     "flipped": (lambda r: r.assign(force=-r["force"]), "force must be the reaction force"),
 }
 

@@ -298,11 +298,9 @@ class JointLikelihood:
             for total, part in zip((known, left), likelihood.informations(parameters, mixing), strict=True):
                 total[np.ix_(columns, columns)] += part
             movement = likelihood.movement if isinstance(likelihood, TrialsWithEmg) else likelihood
-            changes = movement.by_manipulator(parameters[:N_ARM], *trials.instruments)
-            slope = np.zeros((len(self.names), len(changes)))
-            slope[columns] = movement.errors_by(parameters[:N_ARM], mixing[:N_ARM], changes)
-            variances, directions = np.linalg.eigh(manipulator_covariance(trials))
-            slopes.append(slope @ directions * np.sqrt(np.maximum(variances, 0.0)))
+            slope = np.zeros((len(self.names), 3))
+            slope[columns] = errors_by_manipulator(movement, trials, parameters[:N_ARM], mixing[:N_ARM])
+            slopes.append(slope)
         by_manipulators = inverse(known) @ np.concatenate(slopes, axis=1)
         return inverse(left) - inverse(known) + by_manipulators @ by_manipulators.T
 
@@ -341,6 +339,22 @@ class JointLikelihood:
             if scaled(information)[1][0] > SINGULAR:
                 return
         require_informative(information, self.names)
+
+
+def errors_by_manipulator(likelihood: Likelihood, trials: ConditionTrials, values: Array, mixing: Array) -> Array:
+    """By how much errors of the manipulator, of one standard error each, change the score, (parameter, error).
+
+    The noise must have been weighed.
+
+    Args:
+      likelihood: of the trials.
+      trials: in which the manipulator was identified.
+      values: parameters of the arm.
+      mixing: their derivative by the free ones, (arm's parameter, parameter).
+    """
+    slope = likelihood.errors_by(values, mixing, likelihood.by_manipulator(values, *trials.instruments))
+    variances, directions = np.linalg.eigh(manipulator_covariance(trials))
+    return np.asarray(slope @ directions * np.sqrt(np.maximum(variances, 0.0)))
 
 
 def _likelihoods(group: Group, method: Method, sketchy: bool) -> Iterable[tuple[Likelihood, ConditionTrials]]:

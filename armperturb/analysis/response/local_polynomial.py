@@ -128,10 +128,11 @@ class DependentDisturbancesError(ValueError):
       frequency: that one [Hz].
     """
 
-    def __init__(self, frequency: float) -> None:
+    def __init__(self, frequency: float, are_proportional: bool) -> None:
+        more_lines = "" if are_proportional else ", or more lines per average"
         super().__init__(
             f"the disturbances along x and y are not independent at {frequency:.3f} Hz; expected independent "
-            "disturbances (other realisations, one trial for each direction, or more lines per average)"
+            f"disturbances (other realisations, or one trial for each direction{more_lines})"
         )
         self.frequency = frequency
 
@@ -181,7 +182,8 @@ def fit_locally(
     lengths[lengths == 0.0] = 1.0
     orthonormal, triangle = np.linalg.qr(matrix / lengths)
     if np.linalg.cond(triangle) > LARGEST_CONDITION:
-        raise DependentDisturbancesError(centre)
+        pushes = np.concatenate([window.perturbation for window in windows])
+        raise DependentDisturbancesError(centre, bool(np.linalg.cond(pushes) > LARGEST_CONDITION))
     answer = np.concatenate([window.answer for window in windows])
     projected = orthonormal.conj().T @ answer
     back = np.linalg.inv(triangle)

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START
 from armperturb.analysis.per_trials import per_trials
+from armperturb.analysis.response.joint_records import SAME_DIRECTION
 from armperturb.analysis.response.local_polynomial import N_INPUTS
 from armperturb.analysis.results import Description, Result, Table, plain, response_coordinates, response_frame
 from armperturb.analysis.trials import ConditionTrials
@@ -32,6 +33,9 @@ if TYPE_CHECKING:
 
 EXCITED_LINE = 1e-4
 """Share of the strongest line's power from which on a line counts as excited."""
+
+LEAST_POWER = 1e-12
+"""Share of the other axis's power below which a disturbance counts as none: rounding leaves less [-]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -198,7 +202,8 @@ def estimate_spectra(lines: LineSpectra, *, lines_per_average: int = LINES_PER_A
       lines_per_average: 4 averages over the clusters of the thesis's multisine; 1 keeps every line.
 
     Raises:
-      ValueError: there are fewer averages than inputs, or the disturbances along x and y are not independent.
+      ValueError: there are fewer averages than inputs, or the disturbances along x and y are not independent,
+        or there is none along one of them.
     """
     if lines_per_average < 1:
         raise ValueError(f"lines_per_average = {lines_per_average!r}; expected a whole number of at least 1")
@@ -248,11 +253,18 @@ def _transposed_solve(phi_du: ComplexArray, phi_dx: ComplexArray) -> ComplexArra
 
 
 def _require_two_directions(phi_dd: ComplexArray, frequency: Array) -> None:
-    scale = (np.einsum("fii->f", phi_dd).real / N_INPUTS) ** 2
-    # One for equal and unrelated disturbances, zero for one direction.
-    independence = np.linalg.det(phi_dd).real / scale
+    power = np.einsum("fii->fi", phi_dd).real
+    silent = power < LEAST_POWER * power.max(axis=1, keepdims=True)
+    if silent.any():
+        line, axis = np.argwhere(silent)[0]
+        raise ValueError(
+            f"the disturbance along {'xy'[axis]} has no power at {frequency[line]:.3f} Hz; expected a disturbance "
+            "along both axes, or a trial for each direction"
+        )
+    # Zero for disturbances that are proportional, whatever their sizes.
+    independence = np.linalg.det(phi_dd).real / power.prod(axis=1)
     worst = int(np.argmin(independence))
-    if independence[worst] < 1e-6:
+    if independence[worst] < SAME_DIRECTION:
         raise ValueError(
             f"the disturbances along x and y are not independent at {frequency[worst]:.3f} Hz; expected independent "
             "disturbances (other realisations, or one trial for each direction)"

@@ -44,6 +44,10 @@ TOLERANCE = 1e-4
 GROWTH = 10.0
 """Factor from barrier to barrier of the interior-point method [-]."""
 
+LEAST_RATIO = 0.01
+"""Share of the other axis's mean square force that each axis has at least [-]: an optimum may want next to none, with
+which recordings would not show the admittance in that direction, nor the person's departures from the model."""
+
 LEAST_STEP = 1e-3
 """Share of the way to the solution with the noise held below which no step is tried [-]."""
 
@@ -110,7 +114,7 @@ class Experiment:
             np.linalg.inv(matrix) for matrix in (model.admittance(values), model.joint_impedance(values))
         )
         self._own = total @ to_hand @ self._jacobian @ to_joints
-        self._displacement = np.abs(total) ** 2
+        self._total = total
         held = 1.0 / np.abs(environment_admittance(environment, frequency)[:, 0, 0]) ** 2
         gauge, encoder = (2.0 * level**2 / noise.rate for level in noise.instruments)
         self._instruments = gauge * encoder / (gauge + held * encoder)
@@ -121,7 +125,7 @@ class Experiment:
 
     def displacement(self, power: Array) -> Array:
         """Mean square displacement of the handle that the lines cause, (axis,) [m^2]."""
-        return np.asarray(np.einsum("foi,fi->o", self._displacement, power))
+        return np.asarray(np.einsum("foi,fi->o", np.abs(self._total) ** 2, power))
 
     def noise(self, demand: Array) -> ComplexArray:
         """One-sided spectrum of what is beside the answer in the displacement [m^2/Hz], (frequency, axis, axis).
@@ -154,16 +158,19 @@ class Experiment:
         felt = np.einsum("foj,foai->fjai", weighted.conj(), self._gradient)
         return np.asarray(-2.0 * np.einsum("f,fa,fjai,fjak->jik", self._noise.slope, power, felt.conj(), felt).real)
 
-    def information_of(self, amplitudes: ComplexArray, demand: Array) -> Array:
-        """Fisher information per second of lines of known phases, (parameter, parameter).
+    def answer(self, force: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """Displacement that a force causes, and its derivative by each free parameter.
 
         Args:
-          amplitudes: of the lines, complex [N], (frequency, axis); the mean square of one is |amplitude|^2 / 2.
-          demand: for which the person is as noisy [Nm^2], (joint,).
+          force: Fourier transform at the frequencies of the lines, (frequency, axis).
+
+        Returns:
+          Likewise, (frequency, axis) and (frequency, axis, parameter).
         """
-        moved = np.einsum("foai,fa->foi", self._gradient, amplitudes)
-        weighted = np.linalg.solve(self.noise(demand), moved)
-        return np.asarray(np.einsum("foi,foj->ij", moved.conj(), weighted).real)
+        return (
+            np.asarray(np.einsum("foa,fa->fo", self._total, force)),
+            np.asarray(np.einsum("foai,fa->foi", self._gradient, force)),
+        )
 
     def standard_error(self, information: Array, duration: float, trials: int = 1) -> Array:
         """Least standard error of each parameter (Cramer-Rao), (parameter,), SI.
@@ -185,11 +192,11 @@ class Limits(NamedTuple):
     """What a multisine must keep.
 
     Attributes:
-      force: largest RMS force per axis [N].
+      force: largest RMS force per axis [N], the same of both or (axis,).
       displacement: largest RMS displacement of the handle per axis that it causes, on average over phases [m].
     """
 
-    force: float
+    force: float | Array
     displacement: float
 
 
@@ -213,7 +220,8 @@ class _Shares:
     Attributes:
       experiment: at the lines of the clusters.
       goal: columns of the parameters that count.
-      limits: what the shares must keep: limits @ share <= 1, (limit, share).
+      limits: what the shares must keep: limits @ share <= bounds, (limit, share).
+      bounds: of these limits [-], (limit,).
       spreading: shares to powers of the lines [N^2], (frequency, axis, share).
       demand: shares to the demand [Nm^2], (joint, share).
       held: demand for which the person is as noisy, whatever the shares [Nm^2], (joint,); None for that of the shares.
@@ -227,21 +235,34 @@ class _Shares:
         limits: Limits,
         spread: float,
         held: Array | None,
+        least_ratio: float | None,
     ) -> None:
         self.experiment, self.held = experiment, held
         self.goal = [experiment.names.index(name) for name in goal]
         n_lines = len(experiment.frequency) // clusters
         even = np.kron((1.0 - spread) * np.eye(clusters) + spread / clusters, np.full((n_lines, 1), 1.0 / n_lines))
         spreading = np.zeros((clusters * n_lines, 2, 2 * clusters))
-        spreading[:, 0, :clusters] = spreading[:, 1, clusters:] = limits.force**2 * even
+        most = np.broadcast_to(limits.force, 2) ** 2
+        spreading[:, 0, :clusters], spreading[:, 1, clusters:] = (each * even for each in most)
         columns = np.moveaxis(spreading, 2, 0)
-        force = np.array([column.sum(axis=0) for column in columns]).T / limits.force**2
+        force = np.array([column.sum(axis=0) for column in columns]).T
         displacement = np.array([experiment.displacement(column) for column in columns]).T / limits.displacement**2
         demand = np.array([experiment.demand(column) for column in columns]).T
-        allowed = np.concatenate([force, displacement, *([] if held is None else [demand / held[:, None]])])
+        allowed = np.concatenate(
+            [force / most[:, None], displacement, *([] if held is None else [demand / held[:, None]])]
+        )
         # In shares of about one, where limits other than that of the force allow far less than it.
         unit = 1.0 / max(1.0, float(allowed.max(axis=0).min()))
-        self.limits, self.spreading, self.demand = unit * allowed, unit * spreading, unit * demand
+        floors = (
+            np.empty((0, 2 * clusters)) if least_ratio is None else (least_ratio * force - force[::-1]) / most.max()
+        )
+        self.limits = unit * np.concatenate([allowed, floors])
+        self.bounds = np.concatenate([np.ones(len(allowed)), np.zeros(len(floors))])
+        self.spreading, self.demand = unit * spreading, unit * demand
+
+    def room(self, share: Array) -> Array:
+        """What is left of each limit at these shares [-], (limit,)."""
+        return np.asarray(self.bounds - self.limits @ share)
 
     def power(self, share: Array) -> Array:
         return np.asarray(self.spreading @ share)
@@ -273,7 +294,7 @@ def optimise(
         first, as many in each.
       clusters: how many clusters there are.
       goal: names of the parameters whose errors count.
-      limits: on force and displacement.
+      limits: on force and displacement; each axis has at least `LEAST_RATIO` of the other's mean square force besides.
       spread: share of each axis's power that is spread evenly over all clusters, 0 to 1.
       held: demand [Nm^2], (joint,), that the lines must keep, and for which the person is as noisy, also under less;
         None lets the noise follow the demand, which then has no limit.
@@ -281,10 +302,18 @@ def optimise(
     Raises:
       ValueError: no multisine at these lines tells about all parameters; the message names those.
     """
-    problem = _Shares(experiment, clusters, goal, limits, spread, held)
+    # What keeps it without being asked is the optimum with it, too.
+    optimum = _optimum(_Shares(experiment, clusters, goal, limits, spread, held, None), clusters)
+    force = optimum.power.sum(axis=0)
+    if force.min() >= LEAST_RATIO * force.max():
+        return optimum
+    return _optimum(_Shares(experiment, clusters, goal, limits, spread, held, LEAST_RATIO), clusters)
+
+
+def _optimum(problem: _Shares, clusters: int) -> Optimum:
     share = np.full(2 * clusters, 0.5 / (2 * clusters))
     share *= 0.5 / max(float(np.max(problem.limits @ share)), 0.5)
-    require_informative(np.einsum("sij,s->ij", problem.parts(share), share), experiment.names)
+    require_informative(np.einsum("sij,s->ij", problem.parts(share), share), problem.experiment.names)
     best, excess = problem.criterion(share), _excess(problem, share)
     for _ in range(MAX_STEPS):
         if excess < TOLERANCE:
@@ -303,7 +332,7 @@ def _excess(problem: _Shares, share: Array) -> float:
     """By how much the criterion could fall along its slope within the limits [-]."""
     parts = problem.parts(share)
     slope = problem.price(share) - _weight(_covariance(parts, share), problem.goal, parts)
-    furthest = optimize.linprog(slope, A_ub=problem.limits, b_ub=np.ones(len(problem.limits)))
+    furthest = optimize.linprog(slope, A_ub=problem.limits, b_ub=problem.bounds)
     return float(slope @ share - furthest.fun)
 
 
@@ -328,19 +357,19 @@ def _least(problem: _Shares, start: Array) -> Array:
 
     By an interior-point method, from a start that is strictly inside the limits, (share,).
     """
-    parts, goal, price, limits = problem.parts(start), problem.goal, problem.price(start), problem.limits
-    n, n_bounds = len(start), len(start) + len(limits)
+    parts, price = problem.parts(start), problem.price(start)
+    n, n_bounds = len(start), len(start) + len(problem.limits)
     # From the interior: the last barrier may have left the start at the border of what is allowed.
-    share = 0.5 * start + 0.25 / n / max(1.0, float(limits.sum(axis=1).max() / n))
+    share = 0.5 * start + 0.25 / n / max(1.0, float(problem.limits.sum(axis=1).max() / n))
     sharpness = 10.0 * n_bounds
     while True:
         for _ in range(MAX_STEPS):
-            value, slope, curvature = _with_barrier(parts, goal, price, limits, share, sharpness)
+            value, slope, curvature = _with_barrier(problem, parts, price, share, sharpness)
             step = -np.linalg.solve(curvature, slope)
             if -slope @ step < 1e-2:
                 break
             length = 1.0
-            while not _barrier(parts, goal, price, limits, share + length * step, sharpness) < value:
+            while not _barrier(problem, parts, price, share + length * step, sharpness) < value:
                 length /= 2.0
                 if length < 1e-9:
                     break
@@ -350,16 +379,16 @@ def _least(problem: _Shares, start: Array) -> Array:
         sharpness *= GROWTH
 
 
-def _barrier(parts: Array, goal: list[int], price: Array, limits: Array, share: Array, sharpness: float) -> float:
-    room = 1.0 - limits @ share
+def _barrier(problem: _Shares, parts: Array, price: Array, share: Array, sharpness: float) -> float:
+    room = problem.room(share)
     if not ((share > 0.0).all() and (room > 0.0).all()):
         return np.inf
-    criterion = 0.5 * np.mean(np.log(np.diag(_covariance(parts, share))[goal])) + price @ share
+    criterion = 0.5 * np.mean(np.log(np.diag(_covariance(parts, share))[problem.goal])) + price @ share
     return float(sharpness * criterion - np.sum(np.log(share)) - np.sum(np.log(room)))
 
 
 def _with_barrier(
-    parts: Array, goal: list[int], price: Array, limits: Array, share: Array, sharpness: float
+    problem: _Shares, parts: Array, price: Array, share: Array, sharpness: float
 ) -> tuple[float, Array, Array]:
     """`_barrier`, its slope and its curvature.
 
@@ -368,14 +397,14 @@ def _with_barrier(
     """
     covariance = _covariance(parts, share)
     slope, curvature = np.zeros_like(share), np.zeros((len(share), len(share)))
-    for place in goal:
+    for place in problem.goal:
         column = covariance[:, place] / np.sqrt(covariance[place, place])
         along = parts @ column
         down = along @ column
         slope -= down
         curvature += 2.0 * (along @ covariance) @ along.T - np.outer(down, down)
-    room = 1.0 - limits @ share
-    factor = sharpness / (2 * len(goal))
+    room, limits = problem.room(share), problem.limits
+    factor = sharpness / (2 * len(problem.goal))
     slope = factor * slope + sharpness * price - 1.0 / share + limits.T @ (1.0 / room)
     curvature = factor * curvature + np.diag(share**-2.0) + (limits.T / room**2) @ limits
-    return _barrier(parts, goal, price, limits, share, sharpness), slope, curvature
+    return _barrier(problem, parts, price, share, sharpness), slope, curvature

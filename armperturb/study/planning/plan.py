@@ -6,10 +6,9 @@ are pushed less is known of the synthetic ones alone. So by default the noise is
 multisine, and no joint is loaded more than by that one; what quieter people would add is told beside it.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 import pandas as pd
@@ -24,20 +23,21 @@ from armperturb.analysis.fit.truth import true_values
 from armperturb.analysis.results import Description, Result
 from armperturb.arrays import Array, ComplexArray
 from armperturb.controllers.remnant import HUMAN_NOISE
-from armperturb.environment import TIMESTEP, Environment
-from armperturb.envs.lab.instruments import Instruments
 from armperturb.perturbations import CLUSTERS, Multisine, Sampled
 from armperturb.perturbations.line_spectrum import draw_multisine
 from armperturb.perturbations.multisine import DESIGN_RATE, PERIOD, PERIOD_SAMPLES
 from armperturb.seeds import trial_seed
-from armperturb.study.planning.information import Experiment, Limits, Noise, optimise
-from armperturb.study.planning.settings import DesignSettings, NoiseLaw, noise_levels
-from armperturb.subject import Subject
+from armperturb.study.planning.information import Limits, optimise
+from armperturb.study.planning.settings import DesignSettings, NoiseLaw
+from armperturb.study.planning.signals import Signal, experiment_at, multisine_signal, proposed_signal
 from armperturb.validation import require_type
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+
+PEAK_ROUNDS = 5
+"""How often the optimum is sought where the largest force is limited: the ratio to RMS force hardly changes then."""
 
 GAP, RATIO = 7, 1.06
 """From a cluster to the next: at least so many lines (three empty ones between), and such a ratio of frequencies."""
@@ -57,25 +57,6 @@ def cluster_starts(period: float = PERIOD) -> NDArray[np.int64]:
     return np.array(starts)
 
 
-class Signal(NamedTuple):
-    """What a perturbation will tell.
-
-    Attributes:
-      frequency: of its lines [Hz], (line,).
-      power: mean square force [N^2], (line, axis).
-      standard_error: law of the noise to the least standard error of each free parameter, from all trials, SI,
-        (parameter,).
-      displacement: RMS displacement of the handle that it causes, on average over phases [m], (axis,).
-      duration: of a trial [s].
-    """
-
-    frequency: Array
-    power: Array
-    standard_error: Mapping[NoiseLaw, Array]
-    displacement: Array
-    duration: float
-
-
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Design(Result):
     """What came out.
@@ -88,7 +69,8 @@ class Design(Result):
       optimised: the best multisine within the limits.
       proposed: the proposed perturbation, played in every trial, if there is one.
       perturbations: realisations of the optimised one, one per trial.
-      excess: bound of how far the optimum is from the best, see `information.Optimum` [-].
+      excess: bound of how far the optimum is from the best, see `information.Optimum` [-]; None if the limit of the
+        largest force binds, for which there is no bound.
     """
 
     settings: DesignSettings
@@ -98,7 +80,7 @@ class Design(Result):
     optimised: Signal
     proposed: Signal | None
     perturbations: tuple[Sampled, ...]
-    excess: float
+    excess: float | None
 
     @property
     def factor(self) -> float:
@@ -193,10 +175,10 @@ class Design(Result):
 
     def signal_frame(self) -> pd.DataFrame:
         """RMS and largest force, and RMS displacement of the handle, of each realisation and axis."""
-        n_period = round(self.settings.period * DESIGN_RATE)
+        n_period = period_samples(self.settings)
         rows: list[tuple[Any, ...]] = []
         for number, signal in enumerate(self.perturbations, start=1):
-            moved = displacements(self.settings.subject, signal, n_period)
+            moved = displacements(self.settings, signal)
             for axis, force, displacement in zip("xy", signal.force.T, moved, strict=True):
                 rms = np.sqrt(np.mean(force[:n_period] ** 2))
                 rows.append((number, axis, rms, np.abs(force).max(), displacement))
@@ -211,108 +193,91 @@ def design(settings: DesignSettings) -> Design:
       ValueError: no multisine tells about some of the model's parameters; the message names them.
     """
     require_type("design: settings", settings, DesignSettings, "DesignSettings")
-    force, displacement, duration = settings.force, settings.displacement, settings.duration
-    structure, starts = settings.structure(), cluster_starts(settings.period)
-    n_period = round(settings.period * DESIGN_RATE)
-    seeds = [trial_seed(settings.seed, "design", number) for number in range(settings.trials)]
+    force, displacement = settings.force, settings.displacement
+    structure = settings.structure()
 
     usual = experiment_at(settings, CLUSTERS.ravel() / PERIOD)
     multisine = Multisine(rms=force, phases=np.zeros((2, CLUSTERS.size)))
     thesis = np.repeat(multisine.amplitudes[:, None] ** 2 / 2.0, 2, axis=1)
     thesis /= max(1.0, float(usual.displacement(thesis).max()) / displacement**2)
     if settings.peak is not None:
-        multisines = [Multisine.draw(seed=seed, rms=float(np.sqrt(thesis[:, 0].sum()))) for seed in seeds]
+        multisines = [Multisine.draw(seed=seed, rms=float(np.sqrt(thesis[:, 0].sum()))) for seed in _seeds(settings)]
         largest = max(float(np.abs(each.sample(DESIGN_RATE, PERIOD_SAMPLES)).max()) for each in multisines)
         thesis *= min(1.0, settings.peak / largest) ** 2
     usual_demand = usual.demand(thesis)
 
-    lines = (starts[:, None] + np.arange(CLUSTERS.shape[1])).ravel()
-    best = experiment_at(settings, lines / settings.period)
-    held = usual_demand if settings.noise == "held" else None
-    limits = Limits(force, displacement)
-    optimum = optimise(best, len(starts), settings.wanted(), limits, settings.spread, held)
-    played = (draw_multisine(lines, optimum.power, seed=seed, duration=duration, n_period=n_period) for seed in seeds)
-    drawn = [balanced(settings.subject, perturbation, n_period) for perturbation in played]
-    # How x and y add up depends on the phases: the worst trial must be within the limits.
-    moved = max(float(displacements(settings.subject, each, n_period).max()) for each in drawn)
-    scale = min(1.0, displacement / moved)
-    if settings.peak is not None:
-        scale = min(scale, settings.peak / max(float(np.abs(each.force).max()) for each in drawn))
-
+    optimised, perturbations, excess = _best_multisine(settings, usual_demand)
     return Design(
         settings=settings,
         names=structure.free,
         truth=true_values(settings.subject, structure),
-        thesis=_signal(usual, thesis, usual_demand, duration, settings.trials),
-        optimised=_signal(best, scale**2 * optimum.power, usual_demand, duration, settings.trials),
+        thesis=multisine_signal(usual, thesis, usual_demand, settings),
+        optimised=optimised,
         proposed=None if settings.perturbation is None else proposed_signal(settings, usual_demand),
-        perturbations=tuple(Sampled(force=scale * each.force, rate=each.rate) for each in drawn),
-        excess=optimum.excess,
+        perturbations=perturbations,
+        excess=excess,
     )
 
 
-def experiment_at(settings: DesignSettings, frequency: Array) -> Experiment:
-    """The planned experiment with lines at these frequencies [Hz], (frequency,)."""
-    human, instruments = HUMAN_NOISE[settings.subject.task], Instruments()
-    floor, louder = (human.torque_spectrum([rms, rms], TIMESTEP, frequency)[:, 0] for rms in (0.0, 1.0))
-    noise = Noise(floor, louder - floor, noise_levels(instruments), DESIGN_RATE)
-    return Experiment(settings.subject, settings.structure(), Environment(), frequency, noise)
+def _seeds(settings: DesignSettings) -> list[int]:
+    return [trial_seed(settings.seed, "design", number) for number in range(settings.trials)]
 
 
-def proposed_signal(settings: DesignSettings, usual_demand: Array) -> Signal:
-    """What the proposed perturbation tells, with the phases that it has.
+def _best_multisine(settings: DesignSettings, usual_demand: Array) -> tuple[Signal, tuple[Sampled, ...], float | None]:
+    """The best multisine within the limits, its realisations, and the bound of how far from the best it is.
 
-    Args:
-      settings: with a proposed perturbation; each trial plays it for as long as it lasts.
-      usual_demand: with which the thesis's multisine loads each joint [Nm^2], (joint,).
-
-    Raises:
-      ValueError: it tells nothing about some of the model's parameters; the message names them.
+    The largest force depends on the phases, so that its limit is none of the optimisation's. It becomes a limit of the
+    RMS force of each axis by the ratio that the realisations have, for which the optimum is sought anew.
     """
-    assert settings.perturbation is not None
-    lasts = settings.perturbation.duration
-    n_samples = round(lasts * DESIGN_RATE)
-    spectrum = 2.0 * rfft(settings.perturbation.sample(DESIGN_RATE, n_samples), axis=0) / n_samples
-    frequency = np.arange(len(spectrum)) * DESIGN_RATE / n_samples
-    usable = (frequency > 0.0) & (frequency < DESIGN_RATE / 2.0)  # a constant force tells nothing of what moves
-    of, amplitudes = experiment_at(settings, frequency[usable]), spectrum[usable]
-    try:
-        return _signal(of, np.abs(amplitudes) ** 2 / 2.0, usual_demand, lasts, settings.trials, amplitudes)
-    except ValueError as error:
-        raise ValueError(f"perturbation: {error}") from None
+    starts, n_period = cluster_starts(settings.period), period_samples(settings)
+    lines = (starts[:, None] + np.arange(CLUSTERS.shape[1])).ravel()
+    best = experiment_at(settings, lines / settings.period)
+    held = usual_demand if settings.noise == "held" else None
+    peak = np.inf if settings.peak is None else settings.peak
+    force = np.full(2, settings.force)
+    candidates: list[tuple[Signal, tuple[Sampled, ...]]] = []
+    for number in range(PEAK_ROUNDS):
+        limits = Limits(force, settings.displacement)
+        optimum = optimise(best, len(starts), settings.wanted(), limits, settings.spread, held)
+        drawn = [
+            balanced(
+                settings,
+                draw_multisine(lines, optimum.power, seed=seed, duration=settings.duration, n_period=n_period),
+            )
+            for seed in _seeds(settings)
+        ]
+        largest = np.max([np.abs(each.force).max(axis=0) for each in drawn], axis=0)
+        weaker = np.minimum(1.0, peak / largest)
+        drawn = [Sampled(force=weaker * each.force, rate=each.rate) for each in drawn]
+        # How x and y add up depends on the phases: the worst trial must be within the limits.
+        moved = max(float(displacements(settings, each).max()) for each in drawn)
+        scale = min(1.0, settings.displacement / moved)
+        signal = multisine_signal(best, (scale * weaker) ** 2 * optimum.power, usual_demand, settings)
+        candidates.append((signal, tuple(Sampled(force=scale * each.force, rate=each.rate) for each in drawn)))
+        if number == 0 and (largest <= peak).all():
+            return *candidates[0], optimum.excess
+        force = np.minimum(settings.force, np.sqrt(optimum.power.sum(axis=0)) * peak / largest)
+    columns = [best.names.index(name) for name in settings.wanted()]
+    return *min(candidates, key=lambda each: np.sum(np.log(each[0].standard_error[settings.noise][columns]))), None
 
 
-def _signal(
-    of: Experiment,
-    powers: Array,
-    usual_demand: Array,
-    duration: float,
-    trials: int,
-    amplitudes: ComplexArray | None = None,
-) -> Signal:
-    """What lines tell, of any phases or of those of the amplitudes, (frequency, axis)."""
-
-    def information(demand: Array) -> Array:
-        return of.information(powers, demand) if amplitudes is None else of.information_of(amplitudes, demand)
-
-    demand_alone = of.demand(powers)
-    demands: dict[NoiseLaw, Array] = {"held": np.maximum(demand_alone, usual_demand), "follows": demand_alone}
-    errors = {law: of.standard_error(information(demand), duration, trials) for law, demand in demands.items()}
-    return Signal(of.frequency, powers, errors, np.sqrt(of.displacement(powers)), duration)
+def period_samples(settings: DesignSettings) -> int:
+    """Samples of a period of the optimised multisine."""
+    return round(settings.period * DESIGN_RATE)
 
 
-def balanced(subject: Subject, perturbation: Sampled, n_period: int) -> Sampled:
+def balanced(settings: DesignSettings, perturbation: Sampled) -> Sampled:
     """The perturbation with y later by so much that x and y together move the handle as they do on average over phases.
 
     On its few lines an optimum may else move it by a third more or less. Neither spectra nor peaks change.
 
     Args:
-      subject: who is perturbed.
-      perturbation: a periodic one.
-      n_period: samples per period.
+      settings: who is perturbed, what the hand holds, and the period.
+      perturbation: of that period.
     """
+    n_period = period_samples(settings)
     spectrum = rfft(perturbation.force[:n_period], axis=0)
-    total = total_admittance(subject, Environment(), np.arange(1, len(spectrum)) * perturbation.rate / n_period)
+    total = _total(settings, len(spectrum) - 1)
     by_axis = total * spectrum[1:, None]
     alone = np.sum(np.abs(by_axis) ** 2, axis=(0, 2))
     # Of both together, for each delay of y in samples.
@@ -323,14 +288,19 @@ def balanced(subject: Subject, perturbation: Sampled, n_period: int) -> Sampled:
     return Sampled(force=np.resize(period, perturbation.force.shape), rate=perturbation.rate)
 
 
-def displacements(subject: Subject, perturbation: Sampled, n_period: int = PERIOD_SAMPLES) -> Array:
+def displacements(settings: DesignSettings, perturbation: Sampled) -> Array:
     """RMS displacement of the handle that a periodic perturbation causes once its start is forgotten [m], (axis,).
 
     Args:
-      subject: who is perturbed.
+      settings: who is perturbed, what the hand holds, and the period.
       perturbation: of at least a period.
-      n_period: samples per period.
     """
+    n_period = period_samples(settings)
     spectrum = rfft(perturbation.force[:n_period], axis=0)[1:] / n_period
-    total = total_admittance(subject, Environment(), np.arange(1, len(spectrum) + 1) * perturbation.rate / n_period)
+    total = _total(settings, len(spectrum))
     return np.asarray(np.sqrt(2.0 * np.sum(np.abs(np.einsum("fij,fj->fi", total, spectrum)) ** 2, axis=0)))
+
+
+def _total(settings: DesignSettings, n_lines: int) -> ComplexArray:
+    """Admittance of arm and manipulator at the first lines of the period [m/N], (line, output, input)."""
+    return total_admittance(settings.subject, settings.environment, np.arange(1, n_lines + 1) / settings.period)

@@ -20,8 +20,9 @@ from armperturb.perturbations import save_perturbation
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.plots.style import COLOURS, INK, PUBLISHED, figure_for, in_style, save_plot
 from armperturb.study.planning.information import effective_duration
-from armperturb.study.planning.plan import Design, Signal
+from armperturb.study.planning.plan import Design
 from armperturb.study.planning.settings import NoiseLaw
+from armperturb.study.planning.signals import Signal
 
 LOOKS = {
     "thesis's multisine": {"color": PUBLISHED["color"]},
@@ -68,9 +69,10 @@ def describe(design: Design) -> Description:
         value = f"{row['value']:.4g}"
         rows.append((row["parameter"] + mark, value, row["unit"], *cells, f"{row['ratio']:.2f}", vary))
     other: NoiseLaw = "follows" if settings.noise == "held" else "held"
+    mass, damping, stiffness = settings.manipulator
     signals = []
     for name, signal in _signals(design):
-        forces = ", ".join(f"{value:.2f}" for value in np.sqrt(signal.power.sum(axis=0)))
+        forces = ", ".join(f"{value:.2f}" for value in signal.force)
         moves = ", ".join(f"{1e3 * value:.1f}" for value in signal.displacement)
         lasts = "" if signal.duration == settings.duration else f"; {signal.duration:g} s"
         signals.append(f"{name}: RMS force x, y {forces} N; RMS displacement {moves} mm{lasts}")
@@ -79,9 +81,12 @@ def describe(design: Design) -> Description:
         "optimised over",
         "thesis's; *: the goal; between trials: what adds, as squares, because parameters of synthetic people differ "
         "from trial to trial",
+        f"manipulator: {mass:g} kg, {damping:g} Ns/m, {stiffness:g} N/m",
         *signals,
         f"largest force of the realisations: {design.signal_frame()['peak_force_N'].max():.1f} N",
     ]
+    if design.excess is None:
+        details.append("the limit of the largest force binds: no bound is known of how far this is from the best")
     if settings.period < PERIOD or settings.start < WINDOW_START:
         details.append(
             f"period {settings.period:g} s, for which there is time: identify with --period {settings.period:g} "
@@ -90,6 +95,9 @@ def describe(design: Design) -> Description:
     remarks = departures(settings.structure(), settings.subject)
     if design.factors[other] > 1.0:
         remarks = (f"the optimised multisine is worse than the thesis's {LAWS[other]}", *remarks)
+    if design.proposed is not None and design.proposed.refusal:
+        refused = "identify refuses recordings of the proposed perturbation alone, as far as simulated ones show"
+        remarks = (f"{refused}: {design.proposed.refusal}", *remarks)
     return Description(
         title=f"Design for {settings.subject.name!r} ({settings.subject.task}), model {settings.model_name()}, goal "
         f"{settings.goal}: {settings.trials} trial{'' if settings.trials == 1 else 's'} of {settings.duration:g} s, "

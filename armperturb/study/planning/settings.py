@@ -80,8 +80,11 @@ class DesignSettings:
     """Noise of the person: held at its level under the thesis's multisine, also under less load; or following the load,
     as the noise of the synthetic people does."""
     perturbation: Perturbation | None = None
-    """CSV file (see simulate) of another perturbation, whose standard errors are given for comparison; it need not keep
-    the limits."""
+    """CSV file (see simulate) of another perturbation, whose standard errors are given for comparison: it is played
+    once, by a person at rest before it; it need not keep the limits."""
+    manipulator: tuple[float, float, float] = (Environment.m_env, Environment.b_env, Environment.k_env)
+    """Mass [kg], damping [Ns/m] and stiffness [N/m] of the manipulator, as identify prints them; by default the
+    thesis's."""
     seed: int = 0
     """Seed of the phases."""
 
@@ -106,7 +109,9 @@ class DesignSettings:
         if self.perturbation is not None:
             name = "duration of the perturbation [s]"
             require_number("design", name, self.perturbation.duration, at_least=shortest, at_most=MAX_DURATION)
-        require_stable(self.subject, Environment())
+        if len(self.manipulator) != 3:
+            raise ValueError(f"design: manipulator = {self.manipulator}; expected mass, damping and stiffness")
+        require_stable(self.subject, self.environment)
         if not self.wanted():
             lacking = "" if any(self._gains()) else f", and {self.subject.name!r} no reflexes"
             raise ValueError(
@@ -116,6 +121,12 @@ class DesignSettings:
 
     def _gains(self) -> list[float]:
         return [getattr(self.subject, name) for name in _GAINS]
+
+    @property
+    def environment(self) -> Environment:
+        """What the hand will hold."""
+        m_env, b_env, k_env = self.manipulator
+        return Environment(m_env=m_env, b_env=b_env, k_env=k_env)
 
     @property
     def period(self) -> float:

@@ -77,6 +77,7 @@ def sections(
         "summary": {
             "rows": rows["summary"],
             "findings": ratios,
+            "lost_pulses": lost_pulses(study),
             "alone": alone,
             "given": of_study.fall_is_given(study, ratios.get("amplitude_PT")),
             "relaxation": relaxation(study),
@@ -85,7 +86,11 @@ def sections(
             "differ": of_study.estimators_differ(rows["estimates"]),
         },
         "method": {},
-        "conditions": {"rows": rows["conditions"], "drifting": drifting},
+        "conditions": {
+            "rows": rows["conditions"],
+            "drifting": drifting,
+            "named_by_displacement": named_by_displacement(study),
+        },
         "left_out": {"lists": left_out(study, rows["fits"], study.remarks if score is None else score.remarks)},
     }
     if study.conditions:
@@ -136,6 +141,18 @@ def sections(
             **_agreement(score),
         }
     return {template: contexts[template] for template in WORDS["sections"] if template in contexts}
+
+
+def lost_pulses(study: StudyResult) -> int:
+    """How many trials have pulses, if not even one response could be measured; else 0."""
+    return 0 if study.pulses else sum(study.n_trials(c.name) for c in study.protocol.conditions if c.pulse_levels)
+
+
+def named_by_displacement(study: StudyResult) -> bool:
+    """Whether perturbed conditions are named by task and intended displacement [mm], as those of the thesis are."""
+    perturbed = [c for c in study.protocol.conditions if c.contraction is None]
+    named = all(c.name == f"{c.task}{1e3 * c.rms_displacement:g}" for c in perturbed)
+    return named and any(c.has_multisine for c in perturbed)
 
 
 def _nonlinear(study: StudyResult) -> dict[str, Any]:

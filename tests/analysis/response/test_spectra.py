@@ -145,6 +145,16 @@ def test_window_ends_at_the_pulse():
     np.testing.assert_allclose(estimate(recording, 1).arm, arm, rtol=1e-9)
 
 
+def test_a_disturbance_that_is_weak_along_an_axis_counts():
+    recording, *_ = synthetic(3)
+    weak = recording.copy(deep=True)
+    weak["perturbation"][..., 0] *= 1e-4
+    np.testing.assert_allclose(estimate(weak).arm, estimate(recording).arm, rtol=1e-6)
+    weak["perturbation"][..., 1] = 1e4 * weak["perturbation"][..., 0]
+    with pytest.raises(ValueError, match="are not independent"):
+        estimate(weak)
+
+
 def test_runs_of_lines_are_cut_into_groups():
     recording, *_ = synthetic(2)
     assert len(estimate(recording, 3).frequency) == 4
@@ -160,7 +170,7 @@ def hit(recording):
     ("recording", "options", "message"),
     [
         (synthetic(1)[0], {"lines_per_average": 1}, r"1 average at 0.586 Hz for 2 inputs; expected at least 2"),
-        (synthetic(3, directions=[(1, 0)] * 3)[0], {}, r"are not independent at .* Hz; expected independent"),
+        (synthetic(3, directions=[(1, 0)] * 3)[0], {}, r"along y has no power at .* Hz; expected .* both axes"),
         (synthetic(3, directions=[(1, 2)] * 3)[0], {}, r"are not independent at .* Hz; expected independent"),
         (hit(synthetic(3)[0]), {}, r"trial 1 reached the workspace limit at 3.500 s"),
         (synthetic(3)[0], {"start": 3.0}, r"holds 7.12 s before .*; expected a whole period of 5.12 s from 3 s on"),

@@ -17,7 +17,7 @@ from armperturb.analysis.fit.identify import identify
 from armperturb.analysis.fit.likelihood import TAPER
 from armperturb.analysis.fit.maximum_likelihood import estimate
 from armperturb.analysis.fit.structures import STRUCTURES
-from armperturb.analysis.fit.truth import at_truth
+from armperturb.analysis.fit.truth import at_truth, true_values
 from armperturb.analysis.force_balance import EDGE, NoiseLevels
 from armperturb.analysis.results import LINES
 from armperturb.controllers.remnant import HUMAN_NOISE
@@ -31,16 +31,10 @@ from armperturb.perturbations.line_spectrum import draw_multisine
 from armperturb.perturbations.multisine import PERIOD, PERIOD_SAMPLES
 from armperturb.plots.style import new_figure
 from armperturb.study.planning.information import Experiment, Limits, Noise, effective_duration, optimise
-from armperturb.study.planning.plan import (
-    DesignSettings,
-    cluster_starts,
-    design,
-    displacements,
-    experiment_at,
-    noise_levels,
-    proposed_signal,
-)
+from armperturb.study.planning.plan import cluster_starts, design, displacements
 from armperturb.study.planning.report import write_design
+from armperturb.study.planning.settings import DesignSettings, noise_levels
+from armperturb.study.planning.signals import experiment_at, proposed_signal
 from armperturb.study.validation.validate import ValidateSettings
 from armperturb.subject import POSITION, RELAX
 
@@ -64,10 +58,10 @@ def plan(once):
     return once("plan", lambda _: design(REFLEX))
 
 
-def few(n_clusters=4):
+def few(n_clusters=4, settings=REFLEX):
     """A small problem: the experiment at a few clusters of the thesis's multisine."""
     lines = CLUSTERS[2 :: 18 // n_clusters][:n_clusters]
-    return experiment_at(REFLEX, lines.ravel() / PERIOD), n_clusters
+    return experiment_at(settings, lines.ravel() / PERIOD), n_clusters
 
 
 def criterion(experiment, power, names, demand=None):
@@ -105,9 +99,9 @@ def test_information_is_that_of_a_time_series_in_white_noise():
         expected += 0.5 * rows @ rows.T / level**2
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     np.testing.assert_allclose(experiment.information(power) * PERIOD / scale, expected / scale, atol=1e-6)
-    rows = np.array([slope(name, 1.0) for name in STRUCTURE.free])
-    found = experiment.information_of(phasors, np.zeros(2))
-    np.testing.assert_allclose(found * PERIOD / scale, rows @ rows.T / level**2 / scale, atol=1e-6)
+    slopes = (turns @ experiment.answer(phasors)[1].reshape(len(frequency), -1)).real
+    expected = np.stack([slope(name, 1.0) for name in STRUCTURE.free], axis=1)
+    np.testing.assert_allclose(slopes.reshape(-1, 13), expected, atol=1e-7 * np.abs(expected).max())
 
 
 def test_noise_is_what_a_person_at_rest_and_the_instruments_leave_in_a_record():
@@ -198,6 +192,16 @@ def test_optimum_is_that_of_a_general_method_and_keeps_the_limits(limits, held):
         assert (experiment.demand(found.power) <= held).all()
 
 
+def test_each_axis_has_a_hundredth_of_the_power_of_the_other():
+    settings = replace(REFLEX, goal="grip", model="1", noise="follows")
+    experiment, n_clusters = few(6, settings)
+    limits = Limits(settings.force, settings.displacement)
+    optimum = optimise(experiment, n_clusters, settings.wanted(), limits, settings.spread)
+    force = optimum.power.sum(axis=0)  # without that limit 7.5 mN along x
+    assert 0.01 * (1 - 1e-9) <= force.min() / force.max() < 0.0101
+    assert 0.0 <= optimum.excess < 1e-4
+
+
 @pytest.mark.slow(reason="optimises multisines")
 def test_no_random_rival_within_the_limits_is_better(plan):
     experiment = experiment_at(REFLEX, plan.optimised.frequency)
@@ -260,12 +264,16 @@ def test_realisations_keep_the_limits_and_the_spectrum(plan):
     assert not np.allclose(plan.perturbations[0].force, plan.perturbations[1].force, atol=0.1)
 
 
-def test_displacements_are_those_of_the_simulated_arm(plan):
+@pytest.mark.parametrize("manipulator", [REFLEX.manipulator, (1.0, 20.0, 0.0)])
+def test_displacements_are_those_of_the_simulated_arm(plan, manipulator):
+    settings, played = replace(REFLEX, manipulator=manipulator), plan.perturbations[0]
     recording = run_experiment(
-        [Trial(subject=POSITION, perturbation=plan.perturbations[0])], linear=True, n_threads=1
+        [Trial(subject=POSITION, perturbation=played)], settings.environment, linear=True, n_threads=1
     ).sel(time=slice(8.0, 8.0 + PERIOD - 0.001))
     expected = np.sqrt(np.mean(recording["displacement"].values[0] ** 2, axis=0))
-    np.testing.assert_allclose(displacements(POSITION, plan.perturbations[0]), expected, rtol=2e-3)
+    np.testing.assert_allclose(displacements(settings, played), expected, rtol=2e-3)
+    on_average = experiment_at(settings, plan.optimised.frequency).displacement(plan.optimised.power)
+    np.testing.assert_allclose(np.sqrt(on_average), expected, rtol=0.07)  # mean over phases
 
 
 @pytest.mark.slow(reason="optimises multisines")
@@ -274,6 +282,22 @@ def test_a_limit_of_the_peak_binds_both_signals(plan):
     assert weak.signal_frame()["peak_force_N"].max() == pytest.approx(5.0)
     for name in ("thesis", "optimised"):
         assert (getattr(weak, name).power.sum(axis=0) < getattr(plan, name).power.sum(axis=0)).all()
+
+
+@pytest.mark.slow(reason="optimises multisines")
+def test_a_plan_under_a_limit_of_the_peak_is_as_good_whatever_force_is_allowed(tmp_path, blank_pictures):
+    relaxed = DesignSettings(
+        subject=RELAX, goal="intrinsic", force=0.9, displacement=0.01, duration=32.0, trials=1, peak=1.0
+    )
+    strong, weak = (design(replace(relaxed, force=force)) for force in (0.9, 0.6))
+    assert strong.factor < 1.02 * weak.factor
+    moved = [each.signal_frame()["rms_displacement_m"].max() for each in (strong, weak)]
+    assert min(moved) > 0.98 * relaxed.displacement
+    assert 0.0 <= weak.excess < 1e-3  # the force binds, and the peak does not
+    assert strong.excess is None
+    assert "the limit of the largest force binds" in strong.summary()
+    write_design(strong, tmp_path)
+    assert json.loads((tmp_path / "settings.json").read_text())["excess"] is None
 
 
 @pytest.mark.slow(reason="optimises multisines")
@@ -361,6 +385,8 @@ def test_draw_multisine_refuses_and_repeats():
         ({"peak": 0.0}, "peak.*= 0"),
         ({"spread": 1.5}, "spread = 1.5"),
         ({"seed": -1}, "seed = -1"),
+        ({"manipulator": (3.0, 0.5)}, r"manipulator = \(3.0, 0.5\); expected mass, damping and stiffness"),
+        ({"manipulator": (0.0, 0.5, 20.0)}, "m_env = 0"),
         ({"subject": replace(POSITION, kv_s=1e3)}, "unstable"),
     ],
 )
@@ -415,6 +441,60 @@ def test_a_proposed_perturbation_is_told_beside(plan):
     np.testing.assert_allclose(np.sqrt(np.mean(squares, axis=0)), expected, rtol=0.1)
 
 
+TIME = np.arange(6400) / 200.0
+
+
+def proposed(force, **changes):
+    """What a person who relaxes is told by a force (time, axis), and that force."""
+    settings = DesignSettings(subject=RELAX, goal="intrinsic", force=0.9, displacement=7.5e-3, duration=32.0, trials=4)
+    played = Sampled(force=force, rate=200.0)
+    return proposed_signal(replace(settings, perturbation=played, **changes), np.zeros(2)), played
+
+
+@pytest.mark.slow(reason="identifies simulated trials")
+def test_steps_that_are_held_tell_as_much_as_their_records():
+    """The end of the record is no jump back, and the constant force makes the person noisier."""
+    steps = 6.0 * np.stack([np.clip((TIME - onset) / 0.1, 0.0, 1.0) for onset in (2.0, 12.0)], axis=1)
+    signal, played = proposed(steps)
+    assert not signal.refusal
+    np.testing.assert_allclose(signal.force, np.sqrt(np.mean(steps**2, axis=0)))
+    human = replace(HUMAN_NOISE["RT"], spread_b=0.0, spread_k=0.0)
+    trials = [Trial(subject=RELAX, perturbation=played, repetition=n, seed=n, noise=human) for n in range(4)]
+    recording = run_experiment(trials, linear=True, instruments=Instruments(marker_noise=None, emg=None), n_threads=1)
+    moved = np.sqrt(np.mean(recording["displacement"].values ** 2, axis=(0, 1)))
+    np.testing.assert_allclose(signal.displacement, moved, rtol=0.15)  # the person moves as well
+    structure = at_truth(STRUCTURES["1"], RELAX)
+    values = structure.parameters("RT", true_values(RELAX, structure))
+    (record,) = Group.prepare(recording, structure).records
+    record.weigh(values)
+    of_record = np.sqrt(np.diag(np.linalg.inv(record.normal(values, structure.mixing).information)))
+    np.testing.assert_allclose(signal.standard_error["follows"], of_record, rtol=0.35)
+    ratio = np.exp(np.mean(np.log(signal.standard_error["follows"] / of_record)))
+    assert ratio == pytest.approx(1.0, abs=0.1)
+
+
+def test_what_a_proposal_tells_does_not_depend_on_how_it_would_go_on():
+    tones = ((1.0, 3.1), (1.7, 4.3))
+    slow = np.stack([sum(np.sin(2 * np.pi * tone * TIME + 0.5) for tone in of_axis) for of_axis in tones], axis=1)
+    # Their ends differ by up to 2.6 N from their starts. Longer records tell more, by so little as a second can.
+    errors = np.array([proposed(slow[: round(200 * s)])[0].standard_error["follows"] for s in (10.0, 10.5, 11.0, 12.0)])
+    ratio = errors[1:] / errors[:-1]
+    assert (ratio < 1.01).all()
+    assert (ratio > 0.9).all()
+
+
+def test_a_proposal_that_identify_refuses_is_remarked_upon(plan):
+    rising, _ = proposed(np.outer(TIME / 32.0, [6.0, 3.0]))
+    assert "not independent" in rising.refusal
+    column = STRUCTURES["1"].free.index("k_e")
+    assert rising.standard_error["follows"][column] > RELAX.k_e  # as a record that repeats 2 % of it
+    noise = RNG.standard_normal((6400, 1))
+    for axes in ([1.0, 0.0], [1.0, 1.0]):
+        assert "not independent" in proposed(noise * axes)[0].refusal
+    remarks = replace(plan, proposed=plan.thesis._replace(refusal=rising.refusal)).describe().remarks
+    assert remarks[0].startswith("identify refuses recordings of the proposed perturbation alone")
+
+
 def test_a_proposal_that_tells_nothing_is_refused():
     still = Sampled(force=np.zeros((6400, 2)), rate=200.0)
     with pytest.raises(ValueError, match="perturbation: "):
@@ -459,8 +539,10 @@ def test_the_command_writes_what_simulate_plays(tmp_path, capsys):
     own = ["--perturbation", str(tmp_path / "own.csv")]
     assert cli.main(["design", *arguments, *own, "--trials", "2", "--out", str(out)]) == 1
     assert "trial_09.csv: exists already" in capsys.readouterr().err
-    assert cli.main(["design", *arguments, *own, "--trials", "2", "--out", str(out), "--overwrite"]) == 0
+    light = ["--manipulator", "2.5", "0.5", "20"]
+    assert cli.main(["design", *arguments, *own, *light, "--trials", "2", "--out", str(out), "--overwrite"]) == 0
     said = capsys.readouterr().out
+    assert "manipulator: 2.5 kg, 0.5 Ns/m, 20 N/m" in said
     assert "kv_se" in said
     assert "with the noise held" in said
     assert "proposed: RMS force x, y" in said
@@ -471,6 +553,7 @@ def test_the_command_writes_what_simulate_plays(tmp_path, capsys):
     made = json.loads((out / "settings.json").read_text())
     assert made["factor"] == pytest.approx(np.exp(np.mean(np.log(ratios))))
     assert made["settings"]["subject"]["kv_s"] == POSITION.kv_s
+    assert made["settings"]["manipulator"] == [2.5, 0.5, 20.0]
     assert made["factor"] == made["factor_noise_held"]
     assert all(float(row["sem_proposed"]) > float(row["sem_optimised"]) for row in rows.values())
     assert (out / "figures" / "design.svg").read_text().startswith("<?xml")

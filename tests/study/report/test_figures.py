@@ -565,7 +565,8 @@ def test_one_person_has_whole_marks_and_no_interval_in_the_legend(invented):
 
 
 def test_registry_holds_what_the_study_allows(recorded):
-    assert drawings(recorded, NOTHING, None).keys() == NAMES | {"pulse_signal", "joint_rotations"}
+    everything = drawings(recorded, NOTHING, None).keys()
+    assert everything == NAMES | {"pulse_signal", "joint_rotations"}
     cohort = (replace(average_person(), name="S01"),)
     known = replace(recorded, cohort=cohort)
     assert drawings(known, NOTHING, None).keys() == NAMES | {"pulse_signal", "joint_rotations", "stills", "rig"}
@@ -578,6 +579,9 @@ def test_registry_holds_what_the_study_allows(recorded):
     assert drawings(nobody, NOTHING, None) == {}
     without_people = drawings(replace(recorded, people=()), NOTHING, None)
     assert not without_people.keys() & {"vaf", "penalty", "peak_displacement", "joint_parameters_PT"}
+    # The figure of the VAF shows trials that are positive along both axes, and there is none.
+    poor = [replace(p, trials=tuple(t._replace(vaf_linear=(40.0, -3.0)) for t in p.trials)) for p in recorded.people]
+    assert drawings(replace(recorded, people=tuple(poor)), NOTHING, None).keys() == everything - {"vaf"}
 
 
 def test_conditions_of_ones_own_have_the_same_figures_but_for_what_is_printed(recorded):

@@ -10,7 +10,9 @@ from invented import people_of, study_of
 from armperturb.cohort import draw_person
 from armperturb.environment import Strap
 from armperturb.pages.page import Picture, rendered
+from armperturb.study.recording.settings import StudySettings
 from armperturb.study.report.findings import fall_is_given, findings
+from armperturb.study.report.sections import lost_pulses, named_by_displacement
 from armperturb.study.report.words import WORDS
 
 
@@ -18,7 +20,7 @@ def summary(study):
     """The text of the first screen."""
     shown = {
         **{"rows": [1], "findings": findings(study), "alone": None, "given": False, "relaxation": "", "fits": []},
-        **{"flagged": 0, "reasons": {}, "differ": math.nan},
+        **{"flagged": 0, "reasons": {}, "differ": math.nan, "lost_pulses": lost_pulses(study)},
     }
     n = len(study.names)
     people = f"{n} {'person' if n == 1 else 'people'}"
@@ -29,6 +31,15 @@ def summary(study):
         intervals="",
     )
     return re.sub(r"\s+", " ", re.sub("<[^>]+>", "", page.split('<section id="summary">')[1]))
+
+
+def section(study, name, **shown):
+    """The text of a section without figures, of people who were simulated."""
+    page = rendered(
+        *("armperturb.study.report", "page.html", {name: {"rows": [], **shown}}, WORDS["sections"], {}),
+        **{"study": study, "first": "S01", "over_people": "", "multisine": {"lines": 72, "clusters": 18, "period": 20}},
+    )
+    return re.sub(r"\s+", " ", re.sub("<[^>]+>", "", page.split(f'<section id="{name}">')[1]))
 
 
 def stills(study, tasks):
@@ -68,6 +79,38 @@ def test_findings_of_some_people_say_of_how_many(study):
     text = summary(replace(study, cases=tuple(fewer)))
     assert "as when holding the position (1 of 3 people)." in text
     assert "intervals of the mean over people." in text
+
+
+def test_a_study_whose_pulses_were_all_lost_says_so_at_the_top(study):
+    assert "No pulse" not in summary(study)
+    people = tuple(replace(person, trials=()) for person in study.people)
+    text = summary(replace(study, people=people))
+    planned = sum(trial.level > 0 for trial in study.protocol.planned_trials())
+    assert f"No pulse could be measured in any of {planned * 3} trials: the section What was left out" in text
+
+
+def test_what_is_said_of_conditions_and_method_is_true_of_other_protocols(study):
+    made = StudySettings(subjects=3)
+    numbers, practice, forces = (
+        "Numbers after them are the intended",
+        "How the forces were chosen",
+        "In a practice session",
+    )
+    thesis = replace(study, made=made)
+    assert named_by_displacement(thesis)
+    conditions = [c for c in study.protocol.conditions if c.pulse_levels and not c.has_multisine]
+    alone = replace(thesis.protocol, conditions=tuple(conditions), pulse_unit_condition="", pulse_unit=10.0)
+    pulses = replace(thesis, protocol=alone)
+    weaker = replace(study.protocol.condition("PT7.5"), rms_displacement=0.002)
+    other = replace(thesis, protocol=replace(thesis.protocol, conditions=(weaker,)))
+    assert not named_by_displacement(pulses)
+    assert not named_by_displacement(other)
+    for each, has in ((thesis, True), (pulses, False)):
+        text = section(each, "conditions", drifting=[], named_by_displacement=named_by_displacement(each))
+        assert [words in text for words in (numbers, practice)] == [has, has]
+        text = section(each, "method")
+        assert [words in text for words in (forces, "A multisine force", "Analysis.")] == [has, has, has]
+    assert "Perturbation. A pulse of force." in text
 
 
 def test_one_person_has_no_intervals(study):

@@ -217,6 +217,14 @@ def test_the_bound_of_what_a_model_leaves_out_is_that_of_the_person():
     np.testing.assert_allclose(of_part, information[np.ix_(kept, kept)], rtol=1e-6)
 
 
+def test_the_bound_of_a_person_without_noise_holds_what_the_unknown_manipulator_costs():
+    settings = replace(RECORD, task="RT", model="1", groups=1, trials=2, noise=0.0)
+    quiet = validate(settings, workers=1, show_progress=False)
+    # With the manipulator known, the errors that the estimator reports are seven times the bound.
+    ratio = quiet.to_frame()["mean_standard_error"] / quiet.bound
+    assert 0.9 < np.exp(np.mean(np.log(ratio))) < 1.2
+
+
 def test_a_person_whom_the_model_cannot_be_is_remarked_upon(tmp_path):
     found = replace(hand_made(judged([11.0, 0.0])), settings=replace(RECORD, groups=1, model="1"))
     assert "- model 1 leaves out kv, kp of 'position'" in found.summary()

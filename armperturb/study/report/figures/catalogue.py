@@ -101,7 +101,7 @@ def _of_people(study: StudyResult, effects: Effects) -> Drawings:
     drawn: Drawings = {}
     names = {condition.name for condition in study.protocol.conditions}
     trials = [trial for person in study.people for trial in person.trials if trial.condition in names]
-    if np.isfinite([trial.vaf_linear for trial in trials]).any():
+    if any((np.array(trial.vaf_linear) > 0.0).all() for trial in trials):
         drawn["vaf"] = partial(fit_figures.vaf, study)
     p = {task: {name: p for (of, name), p in effects.parameters.items() if of == task} for task in TASKS}
     for task in TASKS:
