@@ -14,9 +14,9 @@ from armperturb.analysis.force_balance import EDGE
 from armperturb.arrays import Array
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import TIMESTEP
-from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.trial import Trial
+from armperturb.extras import naming_the_extra
 from armperturb.perturbations import Sampled
 from armperturb.perturbations.multisine import DESIGN_RATE
 from armperturb.seeds import trial_seed
@@ -99,6 +99,7 @@ def proposed_signal(settings: DesignSettings, usual_demand: Array) -> Signal:
 
     Raises:
       ValueError: it tells nothing about some of the model's parameters; the message names them.
+      MissingExtraError: the simulator is not installed.
     """
     assert settings.perturbation is not None
     duration = settings.perturbation.duration
@@ -133,6 +134,9 @@ def proposed_signal(settings: DesignSettings, usual_demand: Array) -> Signal:
 
 def _identified_up_to(settings: DesignSettings, force: Array) -> tuple[float, str]:
     """Highest frequency that `identify` uses of recordings of a force (time, axis) [Hz], or why it refuses them."""
+    with naming_the_extra("design with a proposed perturbation"):
+        from armperturb.envs.lab.experiment import run_experiment  # here, as other plans need no simulator
+
     trials = [
         Trial(
             subject=settings.subject,
