@@ -45,6 +45,7 @@ def test_the_package_keeps_its_own_and_the_users_choice_comes_first(monkeypatch,
     assert compile_cache.cache_folder(__name__).parent == tmp_path
 
 
+@pytest.mark.slow(reason="compiles in processes of its own")
 @pytest.mark.parametrize(
     ("names", "used", "changed"),
     [("scaled", "scaled(x)", {"term": 3.0}), ("FACTOR", "FACTOR * x", {"factor": 3.0})],

@@ -173,6 +173,7 @@ def test_a_start_at_rest_under_a_constant_force_is_none_from_nothing():
     assert not relabelled(signals, amid, RATE).from_rest
 
 
+@pytest.mark.slow(reason="fits that follow the moving arm")
 def test_stiffness_of_fits_that_follow_the_moving_arm_gets_the_turning_of_a_held_force_once():
     recording = recorded(2, 28.0, held=(10.0, -15.0))
     fit = identify(recording, VELOCITY).fit
@@ -186,6 +187,7 @@ def test_stiffness_of_fits_that_follow_the_moving_arm_gets_the_turning_of_a_held
     np.testing.assert_allclose(fit.force, (10.0, -15.0), atol=0.5)
 
 
+@pytest.mark.slow(reason="identifies several recordings")
 def test_what_is_not_used_is_named():
     short, long = recorded(3, 7.5, condition="short"), recorded(2, 28.0, condition="long")
     both = identify_conditions([short, long], VELOCITY)
@@ -214,6 +216,7 @@ def test_each_trial_is_used_up_to_its_pulse_and_no_search_ends_at_unusual_delays
         assert abs(used.values[name] - getattr(RELAXED, name)) < 3.0 * used.standard_error[name], name
 
 
+@pytest.mark.slow(reason="identifies from several recordings")
 @pytest.mark.parametrize("changes", [{"m_env": 4.0, "b_env": 30.0, "k_env": 0.0}, {"k_env": 250.0}])
 def test_sessions_with_other_manipulators_are_taken_each_with_its_own(changes):
     other = replace(ENVIRONMENT, **changes)
