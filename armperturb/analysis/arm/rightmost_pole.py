@@ -24,6 +24,7 @@ HALVINGS = 5
 """Before the first attempt to find the pole from what is left of the range, and between attempts."""
 
 MOST_HALVINGS = 56
+"""After which the range is as good as a point."""
 
 POLISHING = 12
 """Newton steps to the pole, at most."""

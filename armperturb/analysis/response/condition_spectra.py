@@ -6,7 +6,7 @@ import numpy as np
 
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, SETTLED, WINDOW_START
 from armperturb.analysis.response.closed_loop import local_fits
-from armperturb.analysis.response.local_polynomial import frequency_response
+from armperturb.analysis.response.joint_records import admittance_of
 from armperturb.analysis.response.spectra import LineSpectra, SpectralEstimate, averaged_spectra, line_spectra
 from armperturb.analysis.trials import ConditionTrials
 
@@ -66,15 +66,15 @@ def _of_whole_records(parts: Sequence[ConditionTrials]) -> SpectralEstimate:
     later = not all(part.from_rest for part in parts) and all(part.is_perturbed(SETTLED) for part in parts)
     start = SETTLED if later else 0.0
     fits, power = local_fits(parts, start)
-    noises = [(fit.noise, fit.dof) for fit in fits]
-    arm, environment, total = (frequency_response(fits, what, noises) for what in ("arm", "environment", "total"))
-    moved = np.einsum("fij,fjk,fik->fi", total.response, power, total.response.conj()).real
+    joint = np.array([fit.answer for fit in fits])
+    arm, environment, total = (admittance_of(what, joint) for what in ("arm", "environment", "total"))
+    moved = np.einsum("fij,fjk,fik->fi", total, power, total.conj()).real
     noise = np.array([np.diag(fit.noise)[2:].real for fit in fits])
     return SpectralEstimate(
-        frequency=arm.frequency,
-        arm=arm.response,
-        environment=environment.response,
-        total=total.response,
+        frequency=np.array([fit.frequency for fit in fits]),
+        arm=arm,
+        environment=environment,
+        total=total,
         coherence=moved / (moved + noise),
         n_averages=np.round([fit.dof for fit in fits]).astype(np.int64),
     )
