@@ -8,8 +8,8 @@ STEP = 0.005
 """Time in which a handle that starts at rest hardly moves [s]."""
 
 HELD = 0.2
-"""Force at the start over its standard deviation from which on it may be constant, and its difference from the
-perturbation over it up to which it is [-]."""
+"""Force at the start, or mean force, over the standard deviation from which on it may be constant, and its difference
+from the perturbation over it up to which it is [-]."""
 
 AT_REST = 0.02
 """Distance from zero, and between two samples, over the RMS displacement below which a handle is at rest [-]."""

@@ -36,6 +36,14 @@ def hand_jacobian(subject: Subject) -> Array:
     return np.column_stack([humerus + forearm, forearm])
 
 
+def force_stiffness(arm: Subject, force: Array) -> Array:
+    """Derivative of J^T f by the joint angles at a force on the hand [Nm/rad], (joint, joint)."""
+    jacobian = hand_jacobian(arm)
+    # Each column is a vector from its joint to the hand, turned by 90 deg; so is its derivative once more.
+    both, fore = -(np.array([[0.0, -1.0], [1.0, 0.0]]).T @ jacobian).T @ force
+    return np.array([[both, fore], [fore, fore]])
+
+
 def segment_jacobians(subject: Subject) -> tuple[Array, Array]:
     """Jacobians from joint angles to the centres of mass of humerus and forearm [m/rad], (axis, joint) each."""
     humerus, forearm = _segment_velocities(subject)

@@ -1,13 +1,14 @@
 """The arm of one person in one condition, as an estimator gives it."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armperturb.analysis.arm.geometry import force_stiffness
 from armperturb.analysis.arm.linear_arm import LinearArm, arm_admittance
 from armperturb.analysis.arm.parameters import parameter_vector
 from armperturb.analysis.arm.state_space import largest_real_pole
@@ -17,7 +18,7 @@ from armperturb.analysis.fit.maximum_likelihood import Estimate
 from armperturb.analysis.fit.structures import Structure, unit
 from armperturb.analysis.fit.thesis import ThesisEstimate
 from armperturb.analysis.measures.endpoint import EndpointImpedance, endpoint_impedance
-from armperturb.analysis.measures.start_geometry import is_in_start_geometry
+from armperturb.analysis.measures.start_geometry import held_force
 from armperturb.analysis.response.frequency_response import Bands
 from armperturb.analysis.response.spectra import SpectralEstimate
 from armperturb.analysis.results import Description, FitResult, parameter_table, plain, quantile
@@ -123,12 +124,10 @@ class ArmFit(FitResult):
         covariance = part @ (self.correlation[np.ix_(known, known)] * np.outer(error, error)) @ part.T
         unknown = self.mixing[:, ~known].any(axis=1)
         covariance[unknown, unknown] = np.inf
-        # What follows the moving arm's geometry has taken the turning of the force out of the stiffness already.
-        is_of_joints = any(is_in_start_geometry(part) for part in self.trials)
         return endpoint_impedance(
             self.arm,
             covariance,
-            recorded_force=np.zeros(2) if is_of_joints else self.force,
+            recorded_force=self.force,
             posture_deg=posture_deg,
             force=self.force if force is None else force,
             condition=self.condition,
@@ -159,14 +158,26 @@ def facts_of_arm(
     error = np.abs(np.log(spectra.arm / arm_admittance(arm, spectra.frequency))) ** 2
     criterion = float(np.mean(spectra.coherence[:, :, None] * error)) if np.isfinite(error).all() else math.inf
     n_samples = [part.n_trials * part.first_onset for part in parts]
-    held = [part.force[:, : part.first_onset].mean(axis=(0, 1)) for part in parts]
     return {
         "structure": structure.name,
         "condition": parts[0].label,
         "arm": arm,
-        "force": np.average(held, axis=0, weights=n_samples),
+        "force": np.average([held_force(part) for part in parts], axis=0, weights=n_samples),
         "mixing": structure.mixing,
         "stable": pole < 0.0,
         "largest_real_pole": pole,
         "criterion": criterion,
     }
+
+
+def remark_on_force(arm: Subject, force: Array, errors: Mapping[str, float]) -> list[str]:
+    """What the mean force on the hand [N], (axis,), adds to the stiffness of the joints, where it is not negligible."""
+    held = -force_stiffness(arm, force)
+    added = {"k_s": held[0, 0], "k_se": held[0, 1], "k_e": held[1, 1]}
+    if not any(name in errors and abs(part) > errors[name] for name, part in added.items()):
+        return []
+    each = ", ".join(f"{plain(part, 3)} of {name}" for name, part in added.items())
+    return [
+        f"the mean force on the hand, x {plain(force[0], 3)} and y {plain(force[1], 3)} N, makes {each} [Nm/rad]; the "
+        "rest is the muscles' own"
+    ]

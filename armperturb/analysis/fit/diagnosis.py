@@ -13,6 +13,7 @@ from armperturb.analysis.fit.identify import Identification
 from armperturb.analysis.fit.likelihood import RecordLikelihood
 from armperturb.analysis.fit.maximum_likelihood import Estimate
 from armperturb.analysis.fit.trial_effects import QUANTITIES
+from armperturb.analysis.measures.vaf import driving
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
 
@@ -52,7 +53,7 @@ def diagnose(identification: Identification, parts: Sequence[ConditionTrials]) -
     """
     trials = max(parts, key=lambda part: part.n_samples)
     fit, end = identification.fit, trials.first_onset
-    predicted = simulate_linear(fit.arm, trials.environment, trials.perturbation[0, :end], trials.rate)
+    predicted = simulate_linear(fit.arm, trials.environment, driving(trials, 0, end), trials.rate)
     recorded = trials.recorded_displacement[0, :end]
     top = min(1.1 * identification.spectra.frequency[-1], 0.45 * trials.rate)
     likelihood = record_likelihood(trials, top)

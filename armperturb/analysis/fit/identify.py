@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from armperturb.analysis.arm.linear_arm import arm_admittance
 from armperturb.analysis.cuts import require_two_axes
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START, Estimator
-from armperturb.analysis.fit.arm_fit import ArmFit, facts_of_arm
+from armperturb.analysis.fit.arm_fit import ArmFit, facts_of_arm, remark_on_force
 from armperturb.analysis.fit.group import Group, parts_by_condition, remark_on_manipulators
 from armperturb.analysis.fit.ladder import Choice, choose_structure, nearest_to_linear
 from armperturb.analysis.fit.left_out import cut_by_pulses, used_conditions
@@ -418,10 +418,12 @@ def _likely_fit(result: Estimate, group: Group, spectra: SpectralEstimate) -> Ar
     condition, names = group.label, group.structure.free
     label = {name: name if name in result.values else f"{name} [{condition}]" for name in names}
     rows = [list(result.values).index(name) for name in label.values()]
+    facts = facts_of_arm(result.arms[condition], group.structure, group.parts, spectra)
+    errors = {name: result.standard_error[label[name]] for name in names}
     return ArmFit(
         estimator=result.method,
         values={name: result.values[label[name]] for name in names},
-        standard_error={name: result.standard_error[label[name]] for name in names},
+        standard_error=errors,
         at_bound=tuple(name for name in names if label[name] in result.at_bound),
         degrees_of_freedom={
             name: result.degrees_of_freedom[label[name]] for name in names if label[name] in result.degrees_of_freedom
@@ -429,7 +431,7 @@ def _likely_fit(result: Estimate, group: Group, spectra: SpectralEstimate) -> Ar
         correlation=result.correlation[np.ix_(rows, rows)],
         message=result.message,
         converged=result.converged,
-        remarks=result.remarks,
+        remarks=(*result.remarks, *remark_on_force(facts["arm"], facts["force"], errors)),
         detail=result,
-        **facts_of_arm(result.arms[condition], group.structure, group.parts, spectra),
+        **facts,
     )

@@ -9,10 +9,11 @@ smoothed.
 A finite record lets the strong low frequencies leak into the weak high ones. Both likelihoods therefore filter x and
 P d with the same two zeros, so that what is left is nearly white, before they are transformed.
 
-A record that begins amid the movement answers to what was before it as well. That is as if an unknown force had acted
-on the handle before the first sample. The response to such a force (`PAST`), and an offset and a drift of the
-displacement, are then least-squares fitted to each trial's residual and taken out of it, and out of the derivatives:
-the likelihood is that of the rest. Arms of trials may differ, so that P differs from trial to trial.
+A record that begins amid the movement answers to what was before it as well. A force that was always there, the mean of
+the record's, only displaces the handle and is left out. The rest is as if an unknown force had acted on the handle
+before the first sample. The response to such a force (`PAST`), and an offset and a drift of the displacement, are then
+least-squares fitted to each trial's residual and taken out of it, and out of the derivatives: the likelihood is that of
+the rest. Arms of trials may differ, so that P differs from trial to trial.
 """
 
 from collections.abc import Iterator
@@ -238,6 +239,9 @@ class RecordLikelihood(Likelihood):
 
     def __init__(self, signals: Signals, top: float, *, from_rest: bool = True) -> None:
         self._rate = rate = signals.rate
+        if not from_rest:
+            d, applied = (part - part.mean(axis=1, keepdims=True) for part in (signals.perturbation, signals.applied))
+            signals = signals._replace(perturbation=d, applied=applied)
         force = signals.perturbation.swapaxes(1, 2)
         self._judged, self._taper = judged_part(force.shape[-1], rate, from_rest=from_rest)
         n_samples = force.shape[-1]

@@ -7,9 +7,8 @@ From one such posture to the next, d(J^T f) = K dq; as dx = J dq, the force that
     K_hand = J^-T (K - d(J^T f)/dq) J^-1,      B_hand = J^-T B J^-1,      I_hand = J^-T I J^-1
 
 (McIntyre, Mussa-Ivaldi & Bizzi 1996, Exp. Brain Res. 110: 248-264). A fit at a mean force f_0 estimates what is in the
-brackets there, K_fit = K - d(J^T f_0)/dq at the recorded posture, so that K is K_fit plus that derivative; a fit to
-trials that follow the geometry of the moving arm (`start_geometry`) estimates K itself. At another posture, K and B are
-those of the fit, and the segments turn as rigid bodies. The grip is not part of the hand.
+brackets there, K_fit = K - d(J^T f_0)/dq at the recorded posture, so that K is K_fit plus that derivative. At another
+posture, K and B are those of the fit, and the segments turn as rigid bodies. The grip is not part of the hand.
 
 The ellipse of a matrix M is what M makes of all unit vectors (Mussa-Ivaldi, Hogan & Bizzi 1985, J. Neurosci. 5): of
 stiffness, the forces that resist a displacement of 1 m. Its area is pi |det M|, its shape the ratio of its axes, its
@@ -26,7 +25,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from armperturb.analysis.arm.geometry import RIGHT_DEG, hand_jacobian, segment_inertias
+from armperturb.analysis.arm.geometry import RIGHT_DEG, force_stiffness, hand_jacobian, segment_inertias
 from armperturb.analysis.arm.parameters import GROUPS, MATRIX, PARAMETERS, parameter_vector
 from armperturb.analysis.results import (
     Description,
@@ -339,14 +338,6 @@ def endpoint_impedance(
 def is_straight(theta_e_deg: float) -> bool:
     """Whether an elbow [deg] is straight or folded, so that the hand has no impedance along the arm."""
     return min(abs(theta_e_deg), abs(180.0 - abs(theta_e_deg))) < STRAIGHT_DEG
-
-
-def force_stiffness(arm: Subject, force: Array) -> Array:
-    """Derivative of J^T f by the joint angles at a force on the hand [Nm/rad], (joint, joint)."""
-    jacobian = hand_jacobian(arm)
-    # Each column is a vector from its joint to the hand, turned by 90 deg; so is its derivative once more.
-    both, fore = -(np.array([[0.0, -1.0], [1.0, 0.0]]).T @ jacobian).T @ force
-    return np.array([[both, fore], [fore, fore]])
 
 
 def _joint_matrices(arm: Subject, there: Subject) -> tuple[dict[str, Array], dict[str, Array]]:

@@ -8,12 +8,14 @@ force on the hand, d = disturbance and E = m s^2 + b s + k of the manipulator,
     x' = J_0 q,      f' = J_0^-T J^T f,      d' = d + (f' - f) + E (x' - x).
 
 The torque J^T f of the muscles and q are those that were recorded, so that stiffness, damping and reflexes are exactly
-those of a linear arm from f' to x', and d' - f' moves the manipulator by x'.
+those of a linear arm from f' to x', and d' - f' moves the manipulator by x'. Of a constant force f_0, the linear part
+(d(J^T f_0)/dq) q of what its moments change by is subtracted from the torque, so that the stiffness is that under this
+force, as it is of trials as recorded (`measures.endpoint`).
 
-Two more things are known once the arm has been estimated. Its grip G gives way by G (f - f_0), where f_0, the mean of
-d, is the force in the start posture, so that the hand is at x - G (f - f_0) and x' = J_0 q + G (f' - f_0). And the
-inertia of its joints depends on the elbow angle theta, by the coupling c of the segments: what the torque of the start
-posture's inertia lacks,
+Two more things are known once the arm has been estimated. Its grip G gives way by G (f - f_0), where f_0 is the
+constant force that is held in the start posture, so that the hand is at x - G (f - f_0) and x' = J_0 q + G (f' - f_0).
+And the inertia of its joints depends on the elbow angle theta, by the coupling c of the segments: what the torque of
+the start posture's inertia lacks,
 
     tau = c (cos theta - cos theta_0) [2 q_s'' + q_e'', q_s''] + c sin theta [-(2 q_s' + q_e') q_e', q_s'^2],
 
@@ -29,9 +31,10 @@ from dataclasses import replace
 import numpy as np
 from scipy import signal
 
-from armperturb.analysis.arm.geometry import COUPLING, hand_jacobian, mass_matrix
+from armperturb.analysis.arm.geometry import COUPLING, force_stiffness, hand_jacobian, mass_matrix
 from armperturb.analysis.manipulator import manipulator_covariance
 from armperturb.analysis.measures.kinematics import CUTOFF, hand_path, joint_rotations, joint_velocities
+from armperturb.analysis.start import HELD
 from armperturb.analysis.trials import ConditionTrials, Trials, prepared
 from armperturb.arrays import Array
 from armperturb.subject import Subject
@@ -62,13 +65,14 @@ def in_start_geometry(trials: Trials, arm: Subject | None = None) -> ConditionTr
     """
     ready = prepared(trials)
     start, environment, rate = hand_jacobian(ready.body), ready.environment, ready.rate
-    at_rest = ready.perturbation.mean(axis=(0, 1))
+    at_rest = held_force(ready)
     of_hand = ready.recorded_displacement - _deflection(arm, ready.force - at_rest, rate)
     moved = ready.recording.assign(displacement=ready.recording["displacement"].copy(data=of_hand))
     hand, rotations = hand_path(moved), joint_rotations(moved)
     shoulder = ready.body.posture[0] + rotations[..., 0]
     elbow = ready.body.l_h * np.stack([np.cos(shoulder), np.sin(shoulder)], axis=-1)
     torque = np.stack([_moment(part, ready.force) for part in (hand, hand - elbow)], axis=-1)
+    torque -= rotations @ force_stiffness(ready.body, at_rest).T
     if arm is not None:
         torque -= _inertial_torque(coupling(arm), rotations, ready.body.posture[1], rate)
     force = torque @ np.linalg.inv(start)
@@ -93,9 +97,15 @@ def applied_perturbation(trials: ConditionTrials) -> Array:
     return np.asarray(recording[APPLIED if APPLIED in recording else "perturbation"].values, dtype=float)
 
 
-def is_in_start_geometry(trials: ConditionTrials) -> bool:
-    """Whether trials are those of `in_start_geometry`, not as they were recorded."""
-    return APPLIED in trials.recording
+def held_force(trials: ConditionTrials) -> Array:
+    """Constant force on the hand f_0 [N], (axis,), of trials as recorded or in the start geometry.
+
+    It is the mean of d before the pulses, or zero where that is small beside d and may be chance.
+    """
+    perturbation = applied_perturbation(trials)[:, : trials.first_onset]
+    mean = perturbation.mean(axis=(0, 1))
+    is_held = np.linalg.norm(mean) > HELD * np.linalg.norm(perturbation.std(axis=(0, 1)))
+    return np.asarray(mean if is_held else 0.0 * mean)
 
 
 def coupling(arm: Subject) -> float:

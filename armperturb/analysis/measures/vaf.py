@@ -86,11 +86,20 @@ def _recorded(trials: ConditionTrials) -> tuple[Array, ...]:
     )
 
 
+def driving(trials: ConditionTrials, trial: int, end: int) -> Array:
+    """What moves a linear model from rest as it moved the handle up to a sample [N], (time, axis).
+
+    A constant force that was there before only displaces the handle; the recorded displacement need not have that.
+    """
+    perturbation = trials.perturbation[trial, :end]
+    return perturbation if trials.from_rest else perturbation - perturbation[: trials.onset[trial]].mean(axis=0)
+
+
 def trial_vaf(trials: ConditionTrials, trial: int, arm: Subject, environment: Environment) -> Array:
     """VAF of a linear model's displacement in one trial [%], (axis,); as `prediction_vaf`."""
     if largest_real_pole(arm, environment) >= 0:
         return np.full(2, -np.inf)
-    driven = trials.perturbation[trial, : trials.onset[trial]]
+    driven = driving(trials, trial, trials.onset[trial])
     predicted = simulate_linear(arm, environment, driven, trials.rate).displacement
     judged = _judged(trials)
     return _share(_recorded(trials)[trial][judged], _highpassed(predicted, trials.rate, HIGHPASS)[judged])

@@ -9,6 +9,7 @@ from armperturb.analysis.arm.state_space import simulate_linear
 from armperturb.analysis.fit.diagnosis import Diagnosis
 from armperturb.analysis.fit.identify import Identification, Identifications
 from armperturb.analysis.measures.endpoint import EndpointImpedance, plot_endpoints
+from armperturb.analysis.measures.vaf import driving
 from armperturb.analysis.response.frequency_response import FrequencyResponse
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.pages.page import Picture
@@ -115,7 +116,7 @@ def _pulses_of(result: Identification, parts: Sequence[ConditionTrials]) -> list
             if title in by_title or len(by_title) == MOST_PULSES:
                 continue
             around = slice(max(onset - round(BEFORE * rate), 0), last)
-            path = simulate_linear(result.fit.arm, part.environment, part.perturbation[trial, :last], rate)
+            path = simulate_linear(result.fit.arm, part.environment, driving(part, trial, last), rate)
             by_title[title] = PredictedPulse(
                 title,
                 (np.arange(around.start, last) - onset) / rate,

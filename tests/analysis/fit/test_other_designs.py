@@ -7,13 +7,12 @@ import pytest
 from scipy import signal
 from scipy.interpolate import CubicSpline
 
-from armperturb.analysis.arm.geometry import hand_jacobian
+from armperturb.analysis.arm.geometry import force_stiffness
 from armperturb.analysis.arm.linear_arm import arm_admittance
 from armperturb.analysis.arm.state_space import simulate_linear
 from armperturb.analysis.fit.group import parts_by_condition, pulsed_alike
 from armperturb.analysis.fit.identify import identify, identify_conditions
 from armperturb.analysis.fit.own_structures import composed
-from armperturb.analysis.measures.endpoint import force_stiffness
 from armperturb.analysis.measures.start_geometry import in_start_geometry
 from armperturb.analysis.numerics.periodicity import find_period
 from armperturb.analysis.response.estimate import response
@@ -174,17 +173,22 @@ def test_a_start_at_rest_under_a_constant_force_is_none_from_nothing():
 
 
 @pytest.mark.slow(reason="fits that follow the moving arm")
-def test_stiffness_of_fits_that_follow_the_moving_arm_gets_the_turning_of_a_held_force_once():
-    recording = recorded(2, 28.0, held=(10.0, -15.0))
-    fit = identify(recording, VELOCITY).fit
-    linear, moved = (
-        replace(fit, trials=(trials,)).endpoint()["stiffness"].values
-        for trials in (ConditionTrials.prepare(recording), in_start_geometry(recording))
-    )
-    # That of the one has it in the joints' stiffness, that of the other does not.
-    inverse = np.linalg.inv(hand_jacobian(fit.arm))
-    np.testing.assert_allclose(linear - moved, inverse.T @ force_stiffness(fit.arm, fit.force) @ inverse, rtol=1e-9)
-    np.testing.assert_allclose(fit.force, (10.0, -15.0), atol=0.5)
+def test_a_constant_force_changes_no_fit_but_by_its_turning_which_is_named():
+    """The arm is linear, so that only trials that follow the moving arm could tell what its joints add to that."""
+    plain, held = (recorded(2, 14.0, held=force) for force in ((0.0, 0.0), (30.0, -45.0)))
+    fits = [identify(each, "1").fit for each in (plain, held, in_start_geometry(held))]
+    values = np.array([list(fit.values.values()) for fit in fits])
+    errors = np.array(list(fits[0].standard_error.values()))
+    np.testing.assert_allclose(values[1], values[0], rtol=1e-4)
+    assert np.abs((values[2] - values[0]) / errors).max() < 1.0
+    np.testing.assert_allclose(fits[1].force, (30.0, -45.0), atol=0.5)
+    turned = -force_stiffness(fits[0].arm, fits[1].force)
+    assert [any("the mean force on the hand" in remark for remark in fit.remarks) for fit in fits] == [
+        False,
+        True,
+        True,
+    ]
+    assert f"makes {turned[0, 0]:.3g} of k_s" in " ".join(fits[1].remarks)
 
 
 @pytest.mark.slow(reason="identifies several recordings")
