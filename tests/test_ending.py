@@ -100,6 +100,7 @@ def test_signals_end_a_command_in_order(tmp_path, name, to_group):
     assert [path.name for path in tmp_path.iterdir()] == ["ready"]
 
 
+@pytest.mark.slow(reason="starts processes")
 @pytest.mark.parametrize("name", SIGNALS)
 @pytest.mark.parametrize("moment", ["callback", "half_made", "twice"])
 def test_a_signal_ends_a_command_in_one_line(name, moment):

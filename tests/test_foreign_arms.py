@@ -92,6 +92,7 @@ def test_loads_and_structures_are_all_drawn():
     assert {setup.load for setup in drawn} == set(LOADS)
 
 
+@pytest.mark.slow(reason="simulates and converts")
 def test_a_laboratory_file_is_the_same_recording(tmp_path):
     setup = replace(draw_foreign(6), n_trials=2, duration=10.0)
     arrays = setup.record()

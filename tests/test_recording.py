@@ -91,6 +91,7 @@ def test_emg_has_its_own_clock_and_muscles(whole_recording):
     assert whole_recording["order"].values.tolist() == [7, 3]
 
 
+@pytest.mark.slow(reason="simulates a recording")
 def test_emg_is_16_bit_on_disk_and_the_same_in_memory(whole_recording, tmp_path):
     save_recording(whole_recording, tmp_path / "r.nc")
     loaded = load_recording(tmp_path / "r.nc")

@@ -72,6 +72,7 @@ def test_what_is_done_ahead_is_done_once_and_may_fail(tmp_path):
     assert [file.read_text() for file in files] == ["done\n", "done\n"]
 
 
+@pytest.mark.slow(reason="starts processes")
 def test_all_units_are_done_once():
     ticks = []
     with workers_for(2, None) as pool:
@@ -240,6 +241,7 @@ def test_dask_is_told_to_be_missing(monkeypatch):
         DaskCluster("tcp://127.0.0.1:1")
 
 
+@pytest.mark.slow(reason="waits for an answer")
 def test_a_wrong_dask_address_is_told(monkeypatch):
     monkeypatch.setattr(workers, "DASK_TIMEOUT", 0.5)
     with pytest.raises(OSError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:1 "):

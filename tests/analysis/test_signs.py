@@ -33,6 +33,7 @@ def test_records_that_are_too_short_to_judge_are_left_alone(seconds):
     assert impossible([prepared(laboratory_recording((d[:n], -f[:n], x[:n])))]) == ()
 
 
+@pytest.mark.slow(reason="fits recordings")
 def test_responses_and_fits_remark_on_them():
     recording = Setup(arm=Arm(), n_trials=2, duration=20.0).recording()
     assert ap.response(recording).remarks == ()

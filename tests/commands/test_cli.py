@@ -218,6 +218,7 @@ def test_bad_recordings_are_refused_in_one_line(name, recording, tmp_path, capsy
     assert not (tmp_path / "results").exists()
 
 
+@pytest.mark.slow(reason="identifies recordings")
 def test_subject_and_condition_are_picked(tmp_path, capsys):
     common = ("identify", RECORDING, "--model", "1", "--out", tmp_path / "results")
     assert "no subject 'X'; expected one of S01" in refused(capsys, *common, "--subject", "X")

@@ -133,6 +133,7 @@ def test_wrong_emg_does_not_keep_the_movement_from_being_identified(text, tmp_pa
     assert "emg" not in recordings[0]
 
 
+@pytest.mark.slow(reason="fits a recording")
 @pytest.mark.parametrize("model", [(), ("--model", "joint")])
 def test_of_one_axis_the_movement_alone_is_used(tmp_path, capsys, model):
     save_recording(one_joint.recording(one_joint.person("ankle", 3, "none"), 3, duration=8.0), tmp_path / "ankle.nc")

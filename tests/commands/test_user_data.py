@@ -56,6 +56,7 @@ def test_inputs_and_sidecars_stay(folder, capsys, ending, asked):
     assert content_of(folder) == before
 
 
+@pytest.mark.slow(reason="runs commands")
 def test_existing_outputs_are_replaced_only_where_that_is_asked_for(folder, capsys):
     source, before = next(folder.glob("*.csv")), content_of(folder)
     recording = source.with_suffix(".nc")

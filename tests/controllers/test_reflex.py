@@ -48,6 +48,7 @@ def exact(subject, time):
     return np.stack(responses, axis=-1)
 
 
+@pytest.mark.slow(reason="simulates step by step")
 def test_activation_is_the_filter_of_eq_b19():
     time, active = activated(1e-3)
     for number, subject in enumerate(SUBJECTS):

@@ -269,6 +269,7 @@ def test_other_rates_are_resampled_as_asked(tmp_path):
         np.testing.assert_allclose(found[name].values[:, inner], expected, atol=3e-3 * np.abs(expected).max())
 
 
+@pytest.mark.slow(reason="converts several files")
 def test_netcdf_is_resampled_as_other_files_are(tmp_path):
     fine = table(rate=500.0)
     path = write(tmp_path, fine, meaning(rate=500.0))
@@ -518,6 +519,7 @@ def test_a_trial_is_cut_to_its_longest_stretch_without_long_gaps(tmp_path):
     assert_is_the_laboratory(whole.recording)
 
 
+@pytest.mark.slow(reason="converts several files")
 @pytest.mark.parametrize(
     ("gap", "onset", "repair", "kept"),
     [
@@ -543,6 +545,7 @@ def test_a_pulse_that_a_cut_leaves_out_has_no_labels_any_more(tmp_path, gap, ons
     import_recording([tmp_path / "r.nc"])
 
 
+@pytest.mark.slow(reason="converts several files")
 @pytest.mark.parametrize("name", ["pulse_onset", "limit_time"])
 def test_instants_before_the_trial_are_refused_in_netcdf_too(tmp_path, name):
     recording = laboratory_recording(handle())
@@ -753,6 +756,7 @@ def test_convert_goes_there_and_back_on_the_command_line(tmp_path, capsys):
     assert "all are cut to the shortest" in capsys.readouterr().out
 
 
+@pytest.mark.slow(reason="writes and reads several formats")
 @pytest.mark.parametrize("ending", ["mat", "csv", "nc"])
 def test_exported_and_read_back_a_recording_is_the_same(tmp_path, ending):
     rng = np.random.default_rng(0)

@@ -50,6 +50,7 @@ def assert_is_the_laboratory(recording):
 TIRING = pytest.mark.slow(reason="each reads a table three times")
 
 
+@pytest.mark.slow(reason="guesses a sidecar and converts")
 @pytest.mark.parametrize(
     ("header", "by_hand"),
     [
@@ -130,6 +131,7 @@ def test_labels_in_columns_other_dialects_and_places_in_a_room(tmp_path):
     assert recording["condition"].values.tolist() == ["A", "B"]
 
 
+@pytest.mark.slow(reason="guesses sidecars of several tables")
 @pytest.mark.parametrize(
     ("above", "units"),
     [

@@ -51,6 +51,7 @@ def test_no_two_conditions_of_a_figure_have_a_colour(n):
     assert len(set(colours_for(n))) == n
 
 
+@pytest.mark.slow(reason="imports pyplot")
 def test_figures_of_pyplot_are_made_where_none_is_given(relax_recording):
     axes = armperturb.plot(relax_recording, trial=0)
     assert pyplot.gcf() is axes[0, 0].figure

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import control
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -153,8 +152,17 @@ def test_rigid_grip_moves_in_time_as_a_very_stiff_one():
         assert np.abs(one - other).max() < 1e-3 * np.abs(other).max()
 
 
+@pytest.fixture(scope="module")
+def control():
+    """python-control, which takes a second to import."""
+    import control
+
+    return control
+
+
+@pytest.mark.slow(reason="imports python-control")
 @PEOPLE
-def test_state_space_equals_the_transfer_functions(subject):
+def test_state_space_equals_the_transfer_functions(subject, control):
     system = control.ss(*state_space(subject, ENVIRONMENT))
     response = np.moveaxis(system(2j * np.pi * FREQUENCY), -1, 0)
     total = total_admittance(subject, ENVIRONMENT, FREQUENCY, "pade")
@@ -163,7 +171,8 @@ def test_state_space_equals_the_transfer_functions(subject):
     np.testing.assert_allclose(response[:, 2:4], force, rtol=1e-8, atol=1e-8 * np.abs(force).max())
 
 
-def test_pade_delay_is_that_of_python_control():
+@pytest.mark.slow(reason="imports python-control")
+def test_pade_delay_is_that_of_python_control(control):
     # With Kp = I, what reflexes add to the impedance is delay times activation filter.
     subject = replace(RELAX, kp_s=1.0, kp_e=1.0, Td_s=0.03, Td_e=0.05)
     reflex = joint_impedance(subject, FREQUENCY, "pade") - joint_impedance(RELAX, FREQUENCY)

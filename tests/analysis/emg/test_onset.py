@@ -38,6 +38,7 @@ def answers(recording):
     return result, result.latencies.set_index("muscle")
 
 
+@pytest.mark.slow(reason="simulates many responses")
 @pytest.mark.parametrize(("saturation", "spread"), [(np.inf, 0.0), (1.0, 0.5)])
 def test_latency_is_the_delay_that_was_made(saturation, spread):
     """Also if the size of the answer differs from trial to trial."""

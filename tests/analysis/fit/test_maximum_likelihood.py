@@ -196,6 +196,7 @@ def late_by(remarks):
     return float(found[1])
 
 
+@pytest.mark.slow(reason="fits a recording")
 def test_skew_of_the_clocks_is_remarked_upon(relax, relax_group):
     assert not any("later than" in remark for remark in estimate([relax_group], "frequency").remarks)
     late = relax.copy(deep=True)

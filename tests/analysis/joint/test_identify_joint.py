@@ -139,6 +139,7 @@ def test_an_interval_of_a_profile_ends_where_its_root_says():
     assert two_minima.interval(2.0) == pytest.approx((1.0 / 3.0, 5.0))
 
 
+@pytest.mark.slow(reason="profiles a likelihood")
 def test_profiles_reach_both_minima_of_a_threshold(recording):
     """A movement that rests between its switches: thresholds either side of rest explain its reflex."""
     rng = np.random.default_rng(0)

@@ -124,6 +124,7 @@ def test_the_page_of_a_rejected_joint_points_to_no_list_of_causes(result, tmp_pa
     assert "names likely causes" not in page
 
 
+@pytest.mark.slow(reason="draws pages")
 def test_a_page_tells_of_what_the_fit_has(result, tmp_path):
     notes = ("my_file/x.json: a note", "noise was left out")
     origin = Origin(command="", files={}, notes=notes, window_start=8.0, period=None)

@@ -105,6 +105,7 @@ def test_a_sine_is_named():
         ap.response(recording.assign(displacement=recording["displacement"].copy(data=tone[None, :, None])))
 
 
+@pytest.mark.slow(reason="identifies many arms")
 def test_circles_hold_the_mean_over_trials_that_differ():
     held, high = [], []
     for seed in range(6):

@@ -160,6 +160,7 @@ def test_bands_of_few_repetitions_are_students():
     assert np.mean(held) > 0.85
 
 
+@pytest.mark.slow(reason="fits a recording")
 def test_units_are_those_of_the_recording():
     angle, torque = measured(100.0, 6, 1.5, 0.1)
     estimates = [identify_varying(recorded(angle, torque, angular=each), reflex="none") for each in (True, False)]

@@ -156,6 +156,7 @@ def test_an_imposed_movement_refuses_numbers_out_of_range(number):
         imposed_movement(seed=0, duration=1.0, **number)
 
 
+@pytest.mark.slow(reason="simulates experiments")
 @pytest.mark.parametrize("neutral", [None, np.linspace(0.0, 0.1, 6000)], ids=["still", "moving"])
 @pytest.mark.parametrize(("kind", "name"), [("position", "force"), ("force", "displacement")])
 def test_noise_has_the_ratio_that_is_asked_for(kind, name, neutral):

@@ -297,6 +297,7 @@ def test_joints_reach_the_handle_within_their_ranges(start):
     assert laboratory.rest.posture == pytest.approx({"a": 0.2, "b": 1.1}, abs=1e-5)
 
 
+@pytest.mark.slow(reason="searches postures")
 @pytest.mark.parametrize(("shoulder", "elbow"), [(0.2, 2.9), (2.2, 1.0)])
 def test_a_handle_that_only_other_ranges_reach_is_refused(shoulder, elbow):
     with pytest.raises(ValueError, match="expected a point that the hand can reach"):

@@ -347,6 +347,7 @@ def test_says_what_to_install_without_gl(model, headless):
         render(model, width=16, height=16)
 
 
+@pytest.mark.slow(reason="opens a GL context")
 def test_a_window_that_does_not_open_leaves_no_error_behind(headless):
     class Context:
         def __init__(self, width, height):

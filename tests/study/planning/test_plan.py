@@ -473,6 +473,7 @@ def test_steps_that_are_held_tell_as_much_as_their_records():
     assert ratio == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.slow(reason="plans twice")
 def test_what_a_proposal_tells_does_not_depend_on_how_it_would_go_on():
     tones = ((1.0, 3.1), (1.7, 4.3))
     slow = np.stack([sum(np.sin(2 * np.pi * tone * TIME + 0.5) for tone in of_axis) for of_axis in tones], axis=1)
@@ -483,6 +484,7 @@ def test_what_a_proposal_tells_does_not_depend_on_how_it_would_go_on():
     assert (ratio > 0.9).all()
 
 
+@pytest.mark.slow(reason="plans and identifies")
 def test_a_proposal_that_identify_refuses_is_remarked_upon(plan):
     rising, _ = proposed(np.outer(TIME / 32.0, [6.0, 3.0]))
     assert "not independent" in rising.refusal
