@@ -19,10 +19,11 @@ def noise(shape, seed=0):
 
 
 def recorded(volts, conditions=None, *, muscles=PAIR, moving=True, **labels):
-    """A recording of EMG, (trial, muscle, emg_time), in trials that a constant force perturbs."""
+    """A recording of EMG, (trial, muscle, emg_time), in trials that a force which changes sign perturbs."""
     volts = np.asarray(volts, dtype=np.float32).swapaxes(1, 2)
     n, n_time = len(volts), round(volts.shape[1] * RATE / EMG_RATE)
     still = np.zeros((n, n_time, 2))
+    force = still + float(moving) * (-1.0) ** np.arange(n_time)[:, None]
     trials = {
         "subject": ["A"] * n,
         "task": ["RT"] * n,
@@ -33,7 +34,7 @@ def recorded(volts, conditions=None, *, muscles=PAIR, moving=True, **labels):
         **{"l_h": [0.33] * n, "l_f": [0.34] * n, "theta_s_deg": [22.5] * n, "theta_e_deg": [82.3] * n},
     }
     return make_recording(
-        {"perturbation": still + float(moving), "force": still, "displacement": still, "emg": volts},
+        {"perturbation": force, "force": still, "displacement": still, "emg": volts},
         trials | labels,
         RATE,
         emg_rate=EMG_RATE,

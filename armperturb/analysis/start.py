@@ -1,4 +1,4 @@
-"""Whether trials start at rest, as their first samples tell."""
+"""Whether trials start at rest, as their first samples tell, and the constant force that they are under."""
 
 import numpy as np
 
@@ -43,3 +43,13 @@ def start_at_rest(perturbation: Array, force: Array, displacement: Array, rate: 
     # A handle at rest exerts on the hand what is exerted on it, where that is not nothing.
     is_held = (held > HELD * f.std(axis=1)) & (np.abs(d[:, 0] - f[:, 0]) < HELD * held)
     return bool(np.all((place < AT_REST * rms) & (step < AT_REST * rms) & is_slow) and not is_held.any())
+
+
+def constant_force(perturbation: Array) -> Array:
+    """Mean of d over time and trials [N], (axis,), or zero where it is small beside d and may be chance.
+
+    Args:
+      perturbation: d before the pulses [N], (trial, time, axis).
+    """
+    mean, varying = perturbation.mean(axis=(0, 1)), perturbation.std(axis=(0, 1))
+    return np.asarray(mean if np.linalg.norm(mean) > HELD * np.linalg.norm(varying) else np.zeros_like(mean))

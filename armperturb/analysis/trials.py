@@ -19,7 +19,7 @@ from armperturb.analysis.cuts import limit_samples, of_condition, one_condition,
 from armperturb.analysis.defaults import SETTLED
 from armperturb.analysis.force_balance import EDGE, Balance, NoiseLevels, Skew
 from armperturb.analysis.numerics.periodicity import find_period, samples_of_period
-from armperturb.analysis.start import start_at_rest
+from armperturb.analysis.start import constant_force, start_at_rest
 from armperturb.arrays import Array, Indices
 from armperturb.environment import Environment
 from armperturb.recording import ARM_LABELS, EXPECTED, TRIAL_COORDINATES, check_recording
@@ -165,8 +165,10 @@ class ConditionTrials:
 
     @cached_property
     def drive(self) -> Array:
-        """d with what is negligible set to zero [N], (trial, time, axis): simulating with denormal numbers is slow."""
-        return np.where(np.abs(self.perturbation) < NEGLIGIBLE, 0.0, self.perturbation)
+        """d without a constant force, and with zero for what is negligible [N]: simulating denormal numbers is slow."""
+        held = 0.0 if self.from_rest else constant_force(self.perturbation[:, : self.first_onset])
+        d = self.perturbation - held
+        return np.where(np.abs(d) < NEGLIGIBLE, 0.0, d)
 
     @cached_property
     def onset(self) -> Indices:

@@ -34,7 +34,7 @@ from scipy import signal
 from armperturb.analysis.arm.geometry import COUPLING, force_stiffness, hand_jacobian, mass_matrix
 from armperturb.analysis.manipulator import manipulator_covariance
 from armperturb.analysis.measures.kinematics import CUTOFF, hand_path, joint_rotations, joint_velocities
-from armperturb.analysis.start import HELD
+from armperturb.analysis.start import constant_force
 from armperturb.analysis.trials import ConditionTrials, Trials, prepared
 from armperturb.arrays import Array
 from armperturb.subject import Subject
@@ -98,14 +98,8 @@ def applied_perturbation(trials: ConditionTrials) -> Array:
 
 
 def held_force(trials: ConditionTrials) -> Array:
-    """Constant force on the hand f_0 [N], (axis,), of trials as recorded or in the start geometry.
-
-    It is the mean of d before the pulses, or zero where that is small beside d and may be chance.
-    """
-    perturbation = applied_perturbation(trials)[:, : trials.first_onset]
-    mean = perturbation.mean(axis=(0, 1))
-    is_held = np.linalg.norm(mean) > HELD * np.linalg.norm(perturbation.std(axis=(0, 1)))
-    return np.asarray(mean if is_held else 0.0 * mean)
+    """Constant force on the hand before the pulses [N], (axis,), of trials as recorded or in the start geometry."""
+    return constant_force(applied_perturbation(trials)[:, : trials.first_onset])
 
 
 def coupling(arm: Subject) -> float:

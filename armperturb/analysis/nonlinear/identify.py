@@ -13,6 +13,7 @@ import xarray as xr
 from armperturb.analysis.cuts import require_two_axes
 from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.emg.envelope import Envelopes
+from armperturb.analysis.measures.start_geometry import held_force
 from armperturb.analysis.nonlinear.choice import Choice, compare_laws
 from armperturb.analysis.nonlinear.estimate import (
     N_PAIRS,
@@ -28,7 +29,7 @@ from armperturb.analysis.nonlinear.result import NonlinearEstimate
 from armperturb.analysis.nonlinear.spindle_emg import usable_emg
 from armperturb.analysis.nonlinear.start import linear_arms
 from armperturb.analysis.nonlinear.trials import cut_remarks, fitted_conditions, training_sets
-from armperturb.analysis.results import Description, Result
+from armperturb.analysis.results import Description, Result, plain
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.muscle_law import MuscleLaw
 from armperturb.planar_arm.simulation import load_compiled_arm
@@ -240,6 +241,12 @@ def _of_trials(
             f"{', '.join(amid)}: trials start amid the movement, though the law has them start from rest with all "
             "bonds unstrained: what went before counts as noise, and intervals are wider (record each trial from rest)"
         )
+    for trials in fitted:
+        if (held := held_force(trials)).any() and not trials.from_rest:
+            said.append(
+                f"{trials.label}: a constant force on the hand, x {plain(held[0], 3)} and y {plain(held[1], 3)} N, is "
+                "left out: the law has an arm that is at rest without it, and stiffness has what its turning adds"
+            )
     values = {"Td": f"a delay of {1e3 * FIXED['Td']:g} ms", "fact": f"a cut-off of {FIXED['fact']:g} Hz"}
     assumed = [name for name in values if name not in freed]
     if assumed and any(trials.body.task == "PT" for trials in fitted):

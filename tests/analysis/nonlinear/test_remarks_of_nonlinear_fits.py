@@ -1,12 +1,15 @@
 """What an identification says of the trials beside its fit, which is left out here."""
 
+import re
 from dataclasses import dataclass
 
 import nonlinear_trials as made
+import numpy as np
 import pytest
 
 import armperturb as ap
 from armperturb.analysis.nonlinear import identify
+from armperturb.analysis.trials import ConditionTrials
 from armperturb.cohort import average_person
 
 PERSON = average_person().subjects["RT"]
@@ -57,6 +60,16 @@ def test_a_start_amid_the_movement_is_a_remark(recording):
     late["displacement"] = late["displacement"] - late["displacement"].isel(time=0)
     (remark,) = ap.identify_nonlinear(late).estimate.remarks
     assert remark.startswith("RT7.5: trials start amid the movement, though the law has them start from rest ")
+
+
+def test_a_constant_force_is_left_out_and_named(recording):
+    held = recording.drop_vars("joint_angle")
+    held = held.assign({name: held[name] + [10.0, -15.0] for name in ("perturbation", "force")})
+    _, remark = ap.identify_nonlinear(held).estimate.remarks
+    assert re.match(r"RT7.5: a constant force on the hand, x 10\.\d and y -15\.\d N, is left out: ", remark)
+    without, plain = (ConditionTrials.prepare(each).drive for each in (held, recording))
+    np.testing.assert_allclose(without - without.mean(axis=1), plain - plain.mean(axis=1), atol=1e-9)
+    assert np.abs(without.mean(axis=1)).max() < 1e-9
 
 
 def test_what_is_assumed_of_reflexes_is_a_remark_and_can_be_free(recording, models):
