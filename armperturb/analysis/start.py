@@ -45,11 +45,11 @@ def start_at_rest(perturbation: Array, force: Array, displacement: Array, rate: 
     return bool(np.all((place < AT_REST * rms) & (step < AT_REST * rms) & is_slow) and not is_held.any())
 
 
-def constant_force(perturbation: Array) -> Array:
-    """Mean of d over time and trials [N], (axis,), or zero where it is small beside d and may be chance.
+def constant_force(force: Array) -> Array:
+    """Mean of a force over time and trials [N], (axis,), or zero where it is small beside the force and may be chance.
 
     Args:
-      perturbation: d before the pulses [N], (trial, time, axis).
+      force: d or f before the pulses [N], (trial, time, axis).
     """
-    mean, varying = perturbation.mean(axis=(0, 1)), perturbation.std(axis=(0, 1))
+    mean, varying = force.mean(axis=(0, 1)), force.std(axis=(0, 1))
     return np.asarray(mean if np.linalg.norm(mean) > HELD * np.linalg.norm(varying) else np.zeros_like(mean))

@@ -34,7 +34,7 @@ from scipy import signal
 from armperturb.analysis.arm.geometry import COUPLING, force_stiffness, hand_jacobian, mass_matrix
 from armperturb.analysis.manipulator import manipulator_covariance
 from armperturb.analysis.measures.kinematics import CUTOFF, hand_path, joint_rotations, joint_velocities
-from armperturb.analysis.start import constant_force
+from armperturb.analysis.start import HELD, constant_force
 from armperturb.analysis.trials import ConditionTrials, Trials, prepared
 from armperturb.arrays import Array
 from armperturb.subject import Subject
@@ -65,7 +65,7 @@ def in_start_geometry(trials: Trials, arm: Subject | None = None) -> ConditionTr
     """
     ready = prepared(trials)
     start, environment, rate = hand_jacobian(ready.body), ready.environment, ready.rate
-    at_rest = held_force(ready)
+    at_rest = constant_force(ready.force[:, : ready.first_onset])  # with an offset of the gauge, which turns as well
     of_hand = ready.recorded_displacement - _deflection(arm, ready.force - at_rest, rate)
     moved = ready.recording.assign(displacement=ready.recording["displacement"].copy(data=of_hand))
     hand, rotations = hand_path(moved), joint_rotations(moved)
@@ -98,8 +98,14 @@ def applied_perturbation(trials: ConditionTrials) -> Array:
 
 
 def held_force(trials: ConditionTrials) -> Array:
-    """Constant force on the hand before the pulses [N], (axis,), of trials as recorded or in the start geometry."""
-    return constant_force(applied_perturbation(trials)[:, : trials.first_onset])
+    """Constant force on the hand before the pulses [N], (axis,), of trials as recorded or in the start geometry.
+
+    Zero where d and f do not agree about it, as one of them then has an offset.
+    """
+    applied, force = (
+        constant_force(part[:, : trials.first_onset]) for part in (applied_perturbation(trials), trials.force)
+    )
+    return force if np.linalg.norm(applied - force) < HELD * np.linalg.norm(force) else np.zeros_like(force)
 
 
 def coupling(arm: Subject) -> float:
