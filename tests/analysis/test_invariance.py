@@ -1,4 +1,4 @@
-"""What says nothing of the arm changes no result: axes, offsets, the order of trials, and the size of small movements."""
+"""What says nothing of the arm changes no result: axes, offsets, order of trials, and the size of small movements."""
 
 from dataclasses import replace
 
