@@ -423,9 +423,10 @@ def excited_band(records: Sequence[TrialRecord]) -> Array:
     They share out the band that holds all but 1 % of its power evenly on a logarithmic scale, as far as there is power.
     """
     excited = excited_frequencies(records)
-    longest = whole_window(max(records, key=lambda record: len(record.perturbation)))
-    power = np.cumsum(np.sum(np.abs(longest.perturbation) ** 2, axis=1))
-    low, high = np.interp([0.005, 0.995], power / power[-1], longest.frequency)
+    most = max(len(record.perturbation) for record in records)
+    longest = [whole_window(record) for record in records if len(record.perturbation) == most]
+    power = np.cumsum(sum(np.sum(np.abs(each.perturbation) ** 2, axis=1) for each in longest))
+    low, high = np.interp([0.005, 0.995], power / power[-1], longest[0].frequency)
     even = np.geomspace(low, high, N_POINTS)
     return np.unique(excited[np.abs(excited - even[:, None]).argmin(axis=1)])
 
