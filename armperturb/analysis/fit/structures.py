@@ -20,6 +20,8 @@ Bounds = tuple[float, float]
 PUBLISHED = packaged_table(__package__, "structures.toml")
 """Tables of the file beside this module."""
 _DEFAULTS = {each.name: each.default for each in fields(Subject) if isinstance(each.default, float)}
+GAINS = ("kv_", "kp_", "ka_", "kf_")
+"""How the names of feedback gains begin."""
 _AT_LEAST_ZERO = ("b_s", "b_e", "k_s", "k_e", "b_h")
 _ABOVE_ZERO = ("m_h", "m_f", "k_h", "Td_s", "Td_e", "fact_s", "fact_e")
 
@@ -288,7 +290,7 @@ class Structure:
         wide = {}
         for name, (lower, upper) in self.bounds.items():
             least, _, most = wide_bounds(name) or (lower, 0.0, upper)
-            is_positive = name.startswith(("kv_", "kp_", "ka_", "kf_")) and lower >= 0.0
+            is_positive = name.startswith(GAINS) and lower >= 0.0
             wide[name] = (lower if is_positive else least, most)
         return replace(self, bounds=wide)
 
@@ -374,7 +376,7 @@ def neutral_start(structure: Structure, task: str) -> dict[str, float]:
     intrinsic = {**intrinsic, "m_tot": intrinsic["m_h"] + intrinsic["m_f"]}
     start = {}
     for name, (lower, upper) in structure.bounds.items():
-        unknown = 0.0 if name.partition("_")[0] in ("kf", "ka", "kv", "kp") else 0.5 * (lower + upper)
+        unknown = 0.0 if name.startswith(GAINS) else 0.5 * (lower + upper)
         start[name] = min(max(intrinsic.get(name, unknown), lower), upper)
     return start
 
