@@ -326,16 +326,20 @@ def structure_of(model: Structure | str, *, wide: bool = False) -> Structure:
     """A structure, or the one of that name.
 
     Args:
-      model: a structure, which is returned as it is, or its name.
-      wide: whether the one of that name is `Structure.widened`; its bounds are otherwise those of the thesis.
+      model: a structure, or its name.
+      wide: whether bounds that are those of the thesis give way to those of `Structure.widened`; other bounds stay.
 
     Raises:
       ValueError: there is none of that name.
     """
     if isinstance(model, str):
         require_one_of("structure", "model", model, list(STRUCTURES))
-        return STRUCTURES[model].widened() if wide else STRUCTURES[model]
-    return model
+        model = STRUCTURES[model]
+    if not wide:
+        return model
+    of_thesis = {each for structure in STRUCTURES.values() for each in structure.bounds.items()}
+    wider = {name: pair for name, pair in model.widened().bounds.items() if (name, model.bounds[name]) in of_thesis}
+    return replace(model, bounds={**model.bounds, **wider})
 
 
 def is_published(structure: Structure) -> bool:
