@@ -211,7 +211,8 @@ class EndpointImpedance(Result):
             if matrix.is_circular:
                 said.append(f"the ellipse of {name} cannot be distinguished from a circle: it has no orientation")
             if matrix.fixed:
-                said.append(f"the structure fixes {' and '.join(matrix.fixed)} of {name}: the trials do not tell")
+                part = "" if len(matrix.fixed) > 2 else f"{' and '.join(matrix.fixed)} of "
+                said.append(f"the structure fixes {part}{name}: the trials do not tell")
             if np.linalg.eigvalsh(matrix.values + matrix.values.T)[0] < 0.0:
                 said.append(f"{name} is negative in some directions: an ellipse does not describe it")
         return tuple(said)

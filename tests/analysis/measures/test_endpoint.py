@@ -191,6 +191,7 @@ def test_what_the_data_do_not_identify_has_no_limits():
     assert found["stiffness"].area_interval() == (0.0, np.inf)
     assert np.isinf(found["stiffness"].entry_interval()[1]).all()
     assert found["damping"].fixed == ("area", "shape", "orientation")
+    assert "the structure fixes damping: the trials do not tell" in found.remarks
     unknown = endpoint_impedance(POSITION, np.full_like(NOTHING, np.nan))
     assert np.isnan(unknown["damping"].area_interval()).all()
     assert "nan" not in unknown.summary()
