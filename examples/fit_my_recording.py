@@ -23,6 +23,7 @@ import numpy as np
 import armperturb as ap
 
 data = Path("examples/data")
+Path("first_version.json").unlink(missing_ok=True)  # of an earlier run: no sidecar is overwritten
 print(*ap.write_sidecar(data / "position.csv", "first_version.json").notes, sep="\n")
 
 recording, notes = ap.import_recording([data / "position.csv"])

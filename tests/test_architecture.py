@@ -80,7 +80,7 @@ ARROWS = {
     "analysis.nonlinear": ARM
     | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.emg", "planar_arm", "archive"},
     "cohort": ARM,
-    "convert": ARM,
+    "convert": ARM | {"analysis.measures"},
     "envs.lab": LAB,
     "envs.render": LAB | {"analysis.measures"},
     "envs.learning": LAB | {"envs.lab", "envs.render"},

@@ -91,11 +91,33 @@ def test_pictures_of_the_documentation_are_small():
     assert sum(path.stat().st_size for path in TUTORIALS.glob("*.png")) < 1e6
 
 
+NUMBER = r"[-+]?\d+(?:\.(\d+))?(?:e([-+]\d+))?"
+
+
+def assert_is_on_the_page(name, printed, *, with_numbers):
+    """The page has these words, and numbers that differ by 1 % or two of their last digit, as between machines."""
+    page = (TUTORIALS / f"{name}.md").read_text(encoding="utf-8")
+    shown, printed = (
+        re.sub(r"\S+ MB|\s+", " ", text)  # the report's pictures are not drawn
+        for text in ("\n".join(re.findall(r"```text\n(.*?)```", page, re.S)), printed)
+    )
+    assert re.sub(NUMBER, "#", printed).split() == re.sub(NUMBER, "#", shown).split()
+    for here, there in zip(re.finditer(NUMBER, printed), re.finditer(NUMBER, shown), strict=True):
+        last = 10.0 ** (int(there[2] or 0) - len(there[1] or ""))
+        assert not with_numbers or float(here[0]) == pytest.approx(float(there[0]), rel=0.01, abs=2.1 * last), here[0]
+
+
 @pytest.fixture
 def tutorial(monkeypatch):
     """What the cells of a tutorial print when it runs, as one text; its figures are made, but not drawn."""
     monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda *_, **__: None)
-    return lambda name: "".join(output.text for output in MAKE["run"](name))
+
+    def run(name, *, with_numbers=True):
+        printed = "".join(output.text for output in MAKE["run"](name))
+        assert_is_on_the_page(name, printed, with_numbers=with_numbers)
+        return printed
+
+    return run
 
 
 @pytest.mark.slow("two fits and their figures")
@@ -138,7 +160,7 @@ def test_plan_promises_more_than_the_thesis(tutorial):
 
 @pytest.mark.slow("trains for eight generations")
 def test_agent_learns(tutorial):
-    printed = tutorial("train_an_agent")
+    printed = tutorial("train_an_agent", with_numbers=False)  # which learning makes of differences in the last digit
     nothing, before, learnt = (
         float(re.search(rf"^{name} +(\S+)$", printed, re.M).group(1))
         for name in ("does nothing", "before training", "learnt")

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 
 from armperturb.arrays import Array
+from armperturb.convert.angles import require_path_of_angles
 from armperturb.convert.faults import Timed
 from armperturb.convert.raw import RawTrial
 from armperturb.convert.sidecar import Sidecar
@@ -153,13 +154,13 @@ def check_recordings(recordings: Sequence[xr.Dataset], files: Sequence[str]) -> 
 
 
 def require_plausible(trial: Timed) -> None:
-    """Refuse forces and paths that are out of range.
+    """Refuse forces and paths that are out of range, or a path that is not that of the angles.
 
     Args:
       trial: in SI and our axes.
 
     Raises:
-      ValueError: a signal is too large, or displacement is not from its start.
+      ValueError: a signal is too large, displacement is not from its start, or as `require_path_of_angles`.
     """
     where, signals, rates, labels = trial.where, trial.signals, trial.rates, trial.labels
     reach = REACH * (labels.get("l_h", LONGEST_SEGMENT) + labels.get("l_f", LONGEST_SEGMENT))
@@ -185,6 +186,7 @@ def require_plausible(trial: Timed) -> None:
                 f"{where}: displacement {axis} is {low:.4g} to {high:.4g} m throughout; expected the path from the "
                 'start of the trial (for places in a room "start": "first" or the place of the start)'
             )
+    require_path_of_angles(trial)
 
 
 def require_instants(where: str, labels: Mapping[str, Any], duration: float) -> None:

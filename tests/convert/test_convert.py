@@ -335,6 +335,34 @@ def test_a_simulated_arm_passes_and_its_force_turned_is_named(position_recording
         check_balance(position_recording.assign(force=-position_recording["force"]))
 
 
+MIRROR = [-1.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (lambda each: {name: each[name] * MIRROR for name in REQUIRED_SIGNALS}, "with x mirrored"),
+        (
+            lambda each: {name: each[name].values[..., ::-1] * MIRROR for name in REQUIRED_SIGNALS},
+            "with x and y swapped, then y mirrored",
+        ),
+        (lambda each: {"joint_angle": each["joint_angle"].values[..., ::-1]}, "with shoulder and elbow swapped"),
+        (lambda each: {"joint_angle": each["joint_angle"] * MIRROR}, "with the angle of the shoulder negated"),
+    ],
+)
+def test_angles_that_belong_to_other_axes_or_joints_are_refused_with_the_change(
+    position_recording, tmp_path, change, named
+):
+    wrong = position_recording.copy(
+        data={**position_recording.data_vars, **{n: np.asarray(v) for n, v in change(position_recording).items()}}
+    )
+    save_recording(wrong, tmp_path / "wrong.nc")
+    with pytest.raises(ValueError, match=f"wrong.nc: trial 0: joint_angle, l_h and l_f .*{named};"):
+        import_recording([tmp_path / "wrong.nc"])
+    save_recording(wrong.assign_coords(l_f=wrong["l_f"] * np.nan), tmp_path / "unknown.nc")
+    import_recording([tmp_path / "unknown.nc"])  # without lengths angles tell no path
+
+
 def test_a_mass_that_is_no_handles_is_refused_in_netcdf_too(tmp_path):
     d, f, x = handle(0)
     recording = laboratory_recording((1e-3 * d, 1e-3 * f, x))

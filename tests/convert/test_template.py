@@ -303,6 +303,6 @@ def test_a_table_becomes_an_identification_without_an_edit(tmp_path):
     write_sidecar(tmp_path / "position.csv")
     with_guesses = identify(import_recording([tmp_path / "position.csv"]).recording, "3b", estimator="frequency")
     right = identify(import_recording([DATA / "position.csv"]).recording, "3b", estimator="frequency")
-    # x points to the left there, which no data can show: all that a wrong guess of it turns is the sign of xy and yx.
+    # x points to the left there, which no force shows: all that a wrong guess of it turns is the sign of xy and yx.
     turn = np.array([[1.0, -1.0], [-1.0, 1.0]])
     np.testing.assert_allclose(with_guesses.spectra.arm, right.spectra.arm * turn, rtol=1e-6, atol=1e-12)

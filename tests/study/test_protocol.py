@@ -189,6 +189,13 @@ def test_users_protocol_from_a_file(tmp_path):
     assert all(2.0 <= trial.perturbation.onset <= 8.0 for trial in trials)
 
 
+def test_a_condition_without_a_published_force_is_named_where_nobody_practises(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text('[[conditions]]\nname = "soft"\ntask = "RT"\nrms_displacement = 0.01\n')
+    with pytest.raises(ValueError, match=r"condition 'soft': published_force = 0\.0; expected a number above 0"):
+        load_protocol(path).given_forces()
+
+
 def test_a_protocol_survives_its_file(tmp_path):
     path = tmp_path / "again.toml"
     path.write_text(tomli_w.dumps(THESIS.to_dict()))

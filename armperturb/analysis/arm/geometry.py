@@ -87,21 +87,25 @@ def with_rigid_segments(subject: Subject) -> Subject:
     a = i_s - b - 2.0 * c * cosine  # of the humerus, and of the forearm's mass at the elbow
     # The forearm's mass is c / (c_f l_f l_h): less than leaves the humerus any, at least what b holds without turning.
     is_alike = abs(i_se - b - c * cosine) <= ALIKE * b or not is_right
+    refusal = ValueError(
+        f"subject {subject.name!r}: joint inertia = [[{i_s:.4g}, {i_se:.4g}], [{i_se:.4g}, {b:.4g}]] kg m^2; "
+        f"expected one that rigid segments can have at an elbow angle of {subject.theta_e_deg:g} deg"
+    )
     if not (is_alike and c > 0.0 and c * l_h < a * l_f and c * c < a * b):
-        raise ValueError(
-            f"subject {subject.name!r}: joint inertia = [[{i_s:.4g}, {i_se:.4g}], [{i_se:.4g}, {b:.4g}]] kg m^2; "
-            f"expected one that rigid segments can have at an elbow angle of {subject.theta_e_deg:g} deg"
-        )
+        raise refusal
     least, most = c * l_h / (a * l_f), min(b * l_h / (c * l_f), 1.0)
     c_f = min(max(subject.c_f, least + NEAR * (most - least)), most)
     m_f = c / (c_f * l_f * l_h)
-    return replace(
-        subject,
-        m_h=(a - m_f * l_h**2) / ((subject.c_h**2 + subject.r_h**2) * l_h**2),
-        m_f=m_f,
-        c_f=c_f,
-        r_f=float(np.sqrt(max(b / (m_f * l_f**2) - c_f**2, 0.0))),
-        i_s=0.0,
-        i_se=0.0,
-        i_e=0.0,
-    )
+    try:
+        return replace(
+            subject,
+            m_h=(a - m_f * l_h**2) / ((subject.c_h**2 + subject.r_h**2) * l_h**2),
+            m_f=m_f,
+            c_f=c_f,
+            r_f=float(np.sqrt(max(b / (m_f * l_f**2) - c_f**2, 0.0))),
+            i_s=0.0,
+            i_se=0.0,
+            i_e=0.0,
+        )
+    except ValueError:  # a radius or a mass that no segment has
+        raise refusal from None

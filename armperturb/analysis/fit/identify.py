@@ -209,10 +209,10 @@ def identify(
     Args:
       trials: of any perturbation, from rest or amid the movement; or several recordings, which may differ in length. Of
         a larger recording, `recording.sel` or `.isel` picks them.
-      model: structure, or its name (see `structures.STRUCTURES`), which keeps the thesis's bounds with the thesis's
-        estimator only. A structure that is not one of those is fitted in the geometry of the start posture where the
-        trials ask for it, see `ladder.nearest_to_linear`. None lets the trials of each condition choose, see
-        `ladder.choose_structure`.
+      model: structure, or its name (see `structures.STRUCTURES`); bounds that are the thesis's are kept with the
+        thesis's estimator only, and are those of `Structure.widened` with others. A structure that is not a named one
+        is fitted in the geometry of the start posture where the trials ask for it, see `ladder.nearest_to_linear`. None
+        lets the trials of each condition choose, see `ladder.choose_structure`.
       estimator: "thesis", "frequency" or "record".
       window_start: start of the window of whole periods, after the transient has died away [s].
       period: of the disturbance [s]; None to find it.
@@ -255,10 +255,10 @@ def identify_conditions(
     Args:
       trials: condition to trials of one subject, those of one length together, or their recordings; a condition's have
         the same posture.
-      model: structure, or its name (see `structures.STRUCTURES`), which keeps the thesis's bounds with the thesis's
-        estimator only. A structure that is not one of those is fitted in the geometry of the start posture where the
-        trials ask for it, see `ladder.nearest_to_linear`. None lets the trials of each condition choose, see
-        `ladder.choose_structure`.
+      model: structure, or its name (see `structures.STRUCTURES`); bounds that are the thesis's are kept with the
+        thesis's estimator only, and are those of `Structure.widened` with others. A structure that is not a named one
+        is fitted in the geometry of the start posture where the trials ask for it, see `ladder.nearest_to_linear`. None
+        lets the trials of each condition choose, see `ladder.choose_structure`.
       estimator: "thesis", "frequency" or "record".
       share: parameters that are the same in all conditions, see `maximum_likelihood.estimate`.
       window_start: start of the window of whole periods, after the transient has died away [s].

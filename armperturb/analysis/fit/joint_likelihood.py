@@ -1,5 +1,6 @@
 """Free parameters of several conditions in one vector, and their likelihood."""
 
+import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
@@ -11,7 +12,7 @@ from armperturb.analysis.arm.parameters import DELAYS
 from armperturb.analysis.fit.emg_likelihood import DELAY_NAME, N_ARM
 from armperturb.analysis.fit.group import Group, Method
 from armperturb.analysis.fit.likelihood import Likelihood
-from armperturb.analysis.fit.structures import PUBLISHED, unit
+from armperturb.analysis.fit.structures import GAINS, PUBLISHED, unit
 from armperturb.analysis.fit.trial_effects import QUANTITIES, SINGULAR, TrialScore, inverse, scaled
 from armperturb.analysis.fit.trials_with_emg import TrialsWithEmg
 from armperturb.analysis.fit.whittle import LackOfFit, Normal
@@ -22,6 +23,9 @@ from armperturb.subject import Subject
 
 STABILISING = (0.0, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0)
 """Shares of the default start that are mixed into an unstable one until it is stable [-]."""
+
+CALMING = (0.75, 0.5, 0.25, 0.1, 0.0)
+"""Shares of its feedback gains that are left to a start where even the default one is unstable [-]."""
 
 PART_OF = 1e-3
 """Share of a direction of parameters from which on a parameter belongs to it [-]."""
@@ -315,13 +319,17 @@ class JointLikelihood:
         return self._started([group.best_fit_of_spectra()[0] for group in self.groups])
 
     def stabilised(self, values: Array) -> Array:
-        """The values moved towards the structures' default starts until every arm is stable, or all the way."""
+        """The values moved towards the structures' default starts until every arm is stable.
+
+        Where even these starts are unstable, as other delays or cut-offs than the published ones may make them, the
+        values get less feedback, then the starts; the starts as they are if that is not enough.
+        """
         published = self.published()
-        for share in STABILISING:
-            mixed = (1.0 - share) * values + share * published
-            if self.pole(mixed) < 0.0:
-                break
-        return mixed
+        is_gain = np.array([name.startswith(GAINS) for name in self.names])
+        mixed = ((1.0 - share) * values + share * published for share in STABILISING)
+        calmed = (np.where(is_gain, share * each, each) for each in (values, published) for share in CALMING)
+        within = (np.clip(each, self.lower, self.upper) for each in itertools.chain(mixed, calmed))
+        return next((each for each in within if self.pole(each) < 0.0), published)
 
     def require_identifiable(self, values: Array) -> None:
         """Refuse structures in which some direction of the parameters changes no movement.

@@ -74,7 +74,7 @@ class Estimate(FitResult):
 
     With several conditions, a parameter that is not shared is called "k_s [RT7.5]". Variances are those of
     the Fisher information, times `dispersion`, and what errors of the noise's spectrum and of the manipulator add, both
-    of which the same trials tell.
+    of which the same trials tell. Standard errors are NaN where the search could not make a single step.
 
     Attributes:
       method: "frequency" or "record".
@@ -146,6 +146,8 @@ def _remarks(fit: Estimate) -> tuple[str, ...]:
     said = []
     if not fit.converged:
         said.append(f"the search did not end at a maximum ({fit.message})")
+    if np.isnan([*fit.standard_error.values()]).all():
+        said.append("the search could not make a single step: the values are those it started from, without intervals")
     if not fit.stable:
         said.append(f"arm and environment are unstable: largest real part of a pole {fit.largest_real_pole:.2g} 1/s")
     if fit.is_suspicious:
@@ -387,6 +389,8 @@ def _judge(problem: JointLikelihood, method: Method, search: Searched) -> Estima
     error = np.sqrt(np.diag(covariance)) / scale
     unknown = np.abs(directions[:, ~known]).max(axis=1, initial=0.0) > PART_OF
     error[unknown] = np.inf
+    if not search.converged and search.n_rounds == 1:
+        error[:] = np.nan  # where a search starts says nothing of where the trials would have led it
     correlation = np.eye(len(names))
     rest = np.ix_(~unknown, ~unknown)
     spread = np.sqrt(np.diag(covariance))[~unknown]

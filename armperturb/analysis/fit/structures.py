@@ -20,6 +20,8 @@ Bounds = tuple[float, float]
 PUBLISHED = packaged_table(__package__, "structures.toml")
 """Tables of the file beside this module."""
 _DEFAULTS = {each.name: each.default for each in fields(Subject) if isinstance(each.default, float)}
+GAINS = ("kv_", "kp_", "ka_", "kf_")
+"""How the names of feedback gains begin."""
 _AT_LEAST_ZERO = ("b_s", "b_e", "k_s", "k_e", "b_h")
 _ABOVE_ZERO = ("m_h", "m_f", "k_h", "Td_s", "Td_e", "fact_s", "fact_e")
 
@@ -288,7 +290,7 @@ class Structure:
         wide = {}
         for name, (lower, upper) in self.bounds.items():
             least, _, most = wide_bounds(name) or (lower, 0.0, upper)
-            is_positive = name.startswith(("kv_", "kp_", "ka_", "kf_")) and lower >= 0.0
+            is_positive = name.startswith(GAINS) and lower >= 0.0
             wide[name] = (lower if is_positive else least, most)
         return replace(self, bounds=wide)
 
@@ -324,16 +326,20 @@ def structure_of(model: Structure | str, *, wide: bool = False) -> Structure:
     """A structure, or the one of that name.
 
     Args:
-      model: a structure, which is returned as it is, or its name.
-      wide: whether the one of that name is `Structure.widened`; its bounds are otherwise those of the thesis.
+      model: a structure, or its name.
+      wide: whether bounds that are those of the thesis give way to those of `Structure.widened`; other bounds stay.
 
     Raises:
       ValueError: there is none of that name.
     """
     if isinstance(model, str):
         require_one_of("structure", "model", model, list(STRUCTURES))
-        return STRUCTURES[model].widened() if wide else STRUCTURES[model]
-    return model
+        model = STRUCTURES[model]
+    if not wide:
+        return model
+    of_thesis = {each for structure in STRUCTURES.values() for each in structure.bounds.items()}
+    wider = {name: pair for name, pair in model.widened().bounds.items() if (name, model.bounds[name]) in of_thesis}
+    return replace(model, bounds={**model.bounds, **wider})
 
 
 def is_published(structure: Structure) -> bool:
@@ -374,7 +380,7 @@ def neutral_start(structure: Structure, task: str) -> dict[str, float]:
     intrinsic = {**intrinsic, "m_tot": intrinsic["m_h"] + intrinsic["m_f"]}
     start = {}
     for name, (lower, upper) in structure.bounds.items():
-        unknown = 0.0 if name.partition("_")[0] in ("kf", "ka", "kv", "kp") else 0.5 * (lower + upper)
+        unknown = 0.0 if name.startswith(GAINS) else 0.5 * (lower + upper)
         start[name] = min(max(intrinsic.get(name, unknown), lower), upper)
     return start
 

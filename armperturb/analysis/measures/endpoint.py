@@ -55,7 +55,7 @@ CIRCULAR = 5.99
 of chi-squared with two degrees of freedom [-]."""
 
 ROUNDING = 1e-12
-"""Of the power of errors, relative to the largest [-]."""
+"""Of the power of errors, relative to the largest [-]; what varies by no more is not estimated at all."""
 
 QUANTITIES = {"stiffness": "N/m", "static stiffness": "N/m", "damping": "Ns/m", "inertia": "kg"}
 """Quantity to the unit of its matrix: intrinsic stiffness, and that with position and force feedback at rest."""
@@ -70,18 +70,30 @@ class EndpointMatrix:
     Attributes:
       values: (axis, axis).
       covariance: of the errors of xx, xy, yx and yy, (4, 4); all NaN where unknown, all infinite where the data do not
-        identify the matrix.
+        identify the matrix. Limits of what has no error, as the structure fixes it, are NaN.
     """
 
     values: Array
     covariance: Array
 
     def _error(self, slope: Array) -> Array:
-        """Standard errors from derivatives by the entries, (..., 4)."""
+        """Standard errors from derivatives by the entries, (..., 4); NaN of what the structure fixes."""
         if not np.isfinite(self.covariance).all():
             return np.full(slope.shape[:-1], float(self.covariance[0, 0]))
         variance = np.einsum("...i,ij,...j", slope, self.covariance, slope)
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)), dtype=float)
+        is_fixed = variance <= ROUNDING * np.square(slope).sum(axis=-1) * np.trace(self.covariance)
+        return np.asarray(np.sqrt(np.where(is_fixed, math.nan, variance)), dtype=float)
+
+    @property
+    def fixed(self) -> tuple[str, ...]:
+        """Measures of the ellipse that the structure fixes, as a shape that two masses in one proportion have."""
+        limits = {
+            "area": self.area_interval(),
+            "shape": self.shape_interval(),
+            "orientation": self.orientation_interval(),
+        }
+        is_known = bool(np.isfinite(self.covariance).all()) and self.area > 0.0
+        return tuple(name for name, (lower, _) in limits.items() if is_known and math.isnan(lower))
 
     def _parts(self) -> tuple[Array, Array]:
         """Mean m, and u and v, of the square M M^T = [[m + u, v], [v, m - u]]; and their derivatives, (3, 4)."""
@@ -140,6 +152,8 @@ class EndpointMatrix:
         difference = (u * slope[1] + v * slope[2]) / r if r else np.hypot(slope[1], slope[2])
         half = quantile(level) * self._error((m * difference - r * slope[0]) / (m * m - r * r))
         lower, upper = map(float, _limits(self.shape, half))
+        if math.isnan(lower):
+            return Interval(math.nan, math.nan)
         return Interval(1.0 if self.is_circular else max(lower, 1.0), upper)
 
     def orientation_interval(self, level: float = 0.95) -> Interval:
@@ -196,6 +210,9 @@ class EndpointImpedance(Result):
         for name, matrix in self.matrices.items():
             if matrix.is_circular:
                 said.append(f"the ellipse of {name} cannot be distinguished from a circle: it has no orientation")
+            if matrix.fixed:
+                part = "" if len(matrix.fixed) > 2 else f"{' and '.join(matrix.fixed)} of "
+                said.append(f"the structure fixes {part}{name}: the trials do not tell")
             if np.linalg.eigvalsh(matrix.values + matrix.values.T)[0] < 0.0:
                 said.append(f"{name} is negative in some directions: an ellipse does not describe it")
         return tuple(said)

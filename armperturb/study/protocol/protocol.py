@@ -89,12 +89,7 @@ class Protocol:
         self._check_pulses(owner)
         self._check_size(owner)
         if self.forces == "published":
-            for condition in self.conditions:
-                if condition.has_multisine and not condition.published_force:
-                    raise ValueError(
-                        f"condition {condition.name!r}: published_force = {condition.published_force!r}; "
-                        'expected a number above 0, as forces = "published"'
-                    )
+            self.given_forces()
 
     def _check_size(self, owner: str) -> None:
         """Refuse more than one file of a person can hold, before any trial is planned."""
@@ -217,8 +212,18 @@ class Protocol:
         )
 
     def given_forces(self) -> dict[str, float]:
-        """The protocol's own forces: condition name to RMS force per axis [N], and `PULSE_UNIT` to peak force [N]."""
+        """The published forces: condition name to RMS force per axis [N], and `PULSE_UNIT` to peak force [N].
+
+        Raises:
+          ValueError: a condition with a multisine has no published force.
+        """
         forces = {c.name: float(c.published_force) for c in self.conditions if c.has_multisine}
+        for name, force in forces.items():
+            if not force:
+                raise ValueError(
+                    f"condition {name!r}: published_force = {force!r}; expected a number above 0, as forces are "
+                    '"published"'
+                )
         return {**forces, PULSE_UNIT: float(self.pulse_unit)}
 
     def draw_multisines(self, seed: int, only: Collection[int] | None = None) -> dict[int, Multisine]:

@@ -103,9 +103,9 @@ def test_rigid_segments_at_a_right_angle_have_an_estimated_inertia_but_for_its_e
         with_rigid_segments(replace(bare, i_se=0.8 * wanted[0, 1]))
 
 
-@pytest.mark.parametrize("i_e", [0.1, 0.08])
+@pytest.mark.parametrize("i_e", [0.1, 0.08, 0.0799])
 def test_rigid_segments_of_an_impossible_inertia_are_refused(i_e):
-    # At 82 deg the elbow couples segments more than the forearm alone does, and never less or as much.
+    # At 82 deg the elbow couples segments more than the forearm alone does, and never less or as much, or hardly more.
     bare = replace(POSITION, m_h=0.0, m_f=0.0, i_s=0.4, i_se=0.08, i_e=i_e)
     with pytest.raises(
         ValueError, match=rf"joint inertia = \[\[0\.4, 0\.08\], \[0\.08, {i_e}\]\] kg m\^2; expected one that"

@@ -302,6 +302,26 @@ def test_an_unstable_start_is_made_stable(position_group, of_position):
         assert found.values[name] == pytest.approx(value, abs=0.1 * usual.standard_error[name])
 
 
+def test_where_even_the_default_start_is_unstable_the_search_begins_with_less_feedback(position):
+    one_delay = STRUCTURES["3"].fixing(fact_s=3.5, fact_e=3.5).tying(Td_e={"Td_s": 1.0})
+    start = one_delay.arm(POSITION, [*one_delay.initial.values()])
+    assert largest_real_pole(start, Environment()) > 0
+    found = estimate([group_of(position, one_delay)], "frequency")
+    assert found.converged
+    assert found.stable
+    assert found.p_value > 0.01
+
+
+def test_a_search_that_cannot_make_a_step_has_no_intervals(relax):
+    others = {name: value for name, value in STRUCTURES["1"].initial.items() if name != "k_s"}
+    wild = STRUCTURES["1"].fixing(kv_s=20.0, kv_e=20.0, **others)
+    found = estimate([group_of(relax, wild)], "frequency")
+    assert (found.converged, found.stable, found.n_rounds) == (False, False, 1)
+    assert np.isnan(found.interval("k_s")).all()
+    assert any("not make a single step" in remark for remark in found.remarks)
+    assert "not known" in str(found)
+
+
 @pytest.mark.slow(reason="simulates eight trials")
 def test_a_prior_is_weighed_with_the_trials_by_its_width():
     quiet = group_of(record(POSITION, 8, noise=0.5), "3b")  # so that the likelihood is normal over two standard errors

@@ -9,7 +9,7 @@ import pytest
 
 from armperturb.analysis.arm.linear_arm import LinearArm, total_admittance
 from armperturb.analysis.arm.parameters import PARAMETERS, parameter_vector
-from armperturb.analysis.fit.structures import STRUCTURES, Structure, neutral_start, start_in, unit
+from armperturb.analysis.fit.structures import STRUCTURES, Structure, neutral_start, start_in, structure_of, unit
 from armperturb.environment import Environment
 from armperturb.subject import POSITION, RELAX
 
@@ -210,3 +210,12 @@ def test_a_published_structure_starts_where_its_task_does():
         assert start_in(structure.widened(), other) == neutral_start(structure.widened(), other)
     own = STRUCTURES["3"].freeing(k_s=(0.0, 20.0, 400.0)).named("3")
     assert start_in(own, "RT") == own.initial
+
+
+def test_bounds_of_the_thesis_give_way_to_wide_ones_and_others_stay():
+    assert structure_of("3", wide=True).bounds == structure_of(STRUCTURES["3"], wide=True).bounds
+    assert structure_of(STRUCTURES["3"]) is STRUCTURES["3"]
+    own = STRUCTURES["3"].fixing(fact_s=3.5, fact_e=3.5).freeing(k_h=(1e3, 22.4e3, 50e3))
+    wide, widened = structure_of(own, wide=True), own.widened()
+    assert wide.bounds == {**widened.bounds, "k_h": (1e3, 50e3)}
+    assert (wide.initial, wide.fixed) == (own.initial, own.fixed)

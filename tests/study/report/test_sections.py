@@ -16,10 +16,17 @@ from armperturb.study.report.sections import lost_pulses, named_by_displacement
 from armperturb.study.report.words import WORDS
 
 
-def summary(study):
-    """The text of the first screen."""
+def summary(study, **changed):
+    """The text of the first screen, with other findings where some are given."""
     shown = {
-        **{"rows": [1], "findings": findings(study), "alone": None, "given": False, "relaxation": "", "fits": []},
+        **{
+            "rows": [1],
+            "findings": {**findings(study), **changed},
+            "alone": None,
+            "given": False,
+            "relaxation": "",
+            "fits": [],
+        },
         **{"flagged": 0, "reasons": {}, "differ": math.nan, "lost_pulses": lost_pulses(study)},
     }
     n = len(study.names)
@@ -79,6 +86,14 @@ def test_findings_of_some_people_say_of_how_many(study):
     text = summary(replace(study, cases=tuple(fewer)))
     assert "as when holding the position (1 of 3 people)." in text
     assert "intervals of the mean over people." in text
+
+
+def test_a_difference_between_tasks_is_said_with_the_doubt_about_it(study):
+    settled = replace(findings(study)["tasks"], mean=4.0, lower=2.0, upper=8.0)
+    for finding, said in ((settled, ""), (replace(settled, lower=0.5, upper=32.0), "; the interval includes 1")):
+        assert f"as when holding the position{said}." in summary(study, tasks=finding)
+        text = section(study, "admittance", findings={"tasks": finding}, tasks={}, main={})
+        assert f"as people who hold the position{said}; from some" in text
 
 
 def test_a_study_whose_pulses_were_all_lost_says_so_at_the_top(study):
