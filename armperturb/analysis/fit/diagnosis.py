@@ -8,7 +8,7 @@ import numpy as np
 from armperturb.analysis.arm.parameters import MATRIX, PARAMETERS, parameter_vector
 from armperturb.analysis.arm.state_space import simulate_linear
 from armperturb.analysis.fit.frequency_bands import BandOfLack
-from armperturb.analysis.fit.group import record_likelihood
+from armperturb.analysis.fit.group import highest_frequency, record_likelihood
 from armperturb.analysis.fit.identify import Identification
 from armperturb.analysis.fit.likelihood import RecordLikelihood
 from armperturb.analysis.fit.maximum_likelihood import Estimate
@@ -55,8 +55,7 @@ def diagnose(identification: Identification, parts: Sequence[ConditionTrials]) -
     fit, end = identification.fit, trials.first_onset
     predicted = simulate_linear(fit.arm, trials.environment, driving(trials, 0, end), trials.rate)
     recorded = trials.recorded_displacement[0, :end]
-    top = min(1.1 * identification.spectra.frequency[-1], 0.45 * trials.rate)
-    likelihood = record_likelihood(trials, top)
+    likelihood = record_likelihood(trials, highest_frequency(parts, float(identification.spectra.frequency[-1])))
     spread = fit.detail.trial_spread if isinstance(fit.detail, Estimate) else {}
     values = _of_trials(likelihood, parameter_vector(fit.arm), np.array([spread.get(name, 0.0) for name in QUANTITIES]))
     likelihood.weigh(values)

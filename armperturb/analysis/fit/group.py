@@ -27,9 +27,16 @@ from armperturb.analysis.manipulator import manipulator_covariance
 from armperturb.analysis.measures.start_geometry import applied_perturbation
 from armperturb.analysis.per_trials import per_trials
 from armperturb.analysis.response.condition_spectra import condition_spectra, periodic_lines
+from armperturb.analysis.response.joint_records import excited_frequencies
 from armperturb.analysis.response.record_window import RecordWindow, quick_length
 from armperturb.analysis.response.spectra import SpectralEstimate
-from armperturb.analysis.trials import ConditionTrials, SeveralTrials, prepared_recordings, trials_by_condition
+from armperturb.analysis.trials import (
+    ConditionTrials,
+    SeveralTrials,
+    TrialRecord,
+    prepared_recordings,
+    trials_by_condition,
+)
 from armperturb.arrays import Array
 from armperturb.environment import Environment
 from armperturb.joined_recordings import join_recordings
@@ -53,6 +60,12 @@ Method = Literal["frequency", "record"]
 NOT_PERIODIC = 0.01
 """RMS of what changes from period to period over that of the perturbation from which on it is not periodic [-]."""
 
+
+FAINT = 1e-5
+"""Share of the perturbation's largest power density below which it tells nothing [-]."""
+
+WELL_KNOWN = 20.0
+"""Up to this frequency whatever the perturbation excites is used [Hz]: arms differ little from their models there."""
 
 EVALUATIONS = 40
 """Of a structure, in a fit to the estimated admittance, which is but a start."""
@@ -119,8 +132,7 @@ class Group:
             part.check_period(window_start, period)
         spectra = condition_spectra(parts, window_start=window_start, period=period)
         lines = periodic_lines(parts, window_start, period)
-        highest = float((spectra if lines is None else lines).frequency[-1])
-        top = min(1.1 * highest, 0.45 * parts[0].rate)
+        top = highest_frequency(parts, float((spectra if lines is None else lines).frequency[-1]))
         return cls(
             parts=parts,
             structure=structure,
@@ -318,6 +330,22 @@ def _differ(first: ConditionTrials, other: ConditionTrials) -> bool:
     share = np.hypot(change[2] - change[0] * omega**2, change[1] * omega) / (before @ of_parts)
     errors = np.sqrt(np.diag(covariance) + 1e-12)
     return bool(share.max() > ANOTHER and (np.abs(change) / errors).max() > CLEARLY)
+
+
+def highest_frequency(parts: Sequence[ConditionTrials], estimated: float) -> float:
+    """Highest frequency that counts in whole records [Hz].
+
+    The likelihood weighs what is there by the noise, so that a perturbation which falls towards high frequencies tells
+    of inertia and damping where its response is too small to be estimated without a model.
+
+    Args:
+      parts: the trials.
+      estimated: highest frequency of the spectra [Hz].
+    """
+    rate = parts[0].rate
+    records = [TrialRecord(d, d, rate) for part in parts for d in part.perturbation[:, : part.first_onset]]
+    excited = float(excited_frequencies(records, FAINT).max(initial=0.0))
+    return min(max(1.1 * estimated, min(excited, WELL_KNOWN)), 0.45 * rate)
 
 
 def _signals(trials: ConditionTrials, window: slice) -> Signals:
