@@ -161,27 +161,6 @@ class Envelopes(Result):
         """Amplitude over the reference's [-] of power that may have been averaged, (..., muscle)."""
         return np.sqrt(np.maximum(power - self.noise, 0.0))
 
-    def rows(self, subject: str, condition: str, n_trials: int) -> Indices:
-        """Which trials are those of a condition, in the order of the recording, (trial,).
-
-        Args:
-          subject: of the other signals.
-          condition: that it is.
-          n_trials: how many the other signals have.
-
-        Raises:
-          ValueError: there are more of it, or fewer, or they are somebody else's.
-        """
-        if subject != (whose := str(self.labels["subject"].iloc[0])):
-            raise ValueError(f"EMG is not used: it is {whose}'s, the other signals {subject}'s; expected one person's")
-        rows = np.flatnonzero((self.labels["condition"] == condition).to_numpy())
-        if len(rows) != n_trials:
-            raise ValueError(
-                f"EMG is not used: it has {len(rows)} trials of {condition}, the other signals {n_trials}; "
-                "expected the same trials"
-            )
-        return rows
-
     def relative_variance(self, duration: float) -> Array:
         """Variance over squared mean of an amplitude that is averaged so long [s], far above the noise, (muscle,)."""
         return 1.0 / (2.0 * self.samples_per_second * duration)

@@ -8,6 +8,8 @@ from scipy import signal
 from armperturb.analysis.emg import whitening
 from armperturb.analysis.emg.channels import hum_lines
 from armperturb.analysis.emg.envelope import envelopes
+from armperturb.analysis.emg.matching import rows_of
+from armperturb.analysis.trials import prepared
 from armperturb.recording import Action
 
 N = 20_000
@@ -278,7 +280,26 @@ def test_emg_of_two_people_and_of_another_person_is_refused():
     two = recording.assign_coords(subject=("trial", ["A", "B"]))
     with pytest.raises(ValueError, match=r"envelopes: EMG of A, B; expected one person's"):
         envelopes(two)
-    amplitudes = envelopes(recording)
-    assert amplitudes.rows("A", "RT7.5", 2).tolist() == [0, 1]
+    somebody_else = recording.assign_coords(subject=("trial", ["B", "B"]))
     with pytest.raises(ValueError, match=r"it is A's, the other signals B's"):
-        amplitudes.rows("B", "RT7.5", 2)
+        rows_of(prepared(somebody_else), envelopes(recording))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda r: r.isel(trial=[2, 1, 0]), r"repetition of trial 0 of RT7\.5 is 0 in the envelopes, 2 in the other"),
+        (
+            lambda r: r.assign_coords(pulse_direction=("trial", [20.0, 20.0, 20.0])),
+            r"pulse_direction of trial 1 of RT7\.5 is nan in the envelopes, 20 in the other signals",
+        ),
+        (lambda r: r.isel(trial=[0, 2]), r"3 trials of RT7\.5, the other signals 2; expected the same trials in the"),
+    ],
+)
+def test_emg_of_other_trials_of_the_condition_is_refused(change, said):
+    recording = recorded(noise((3, 2, 20_000)), repetition=[0, 1, 2], pulse_direction=[20.0, np.nan, 20.0])
+    amplitudes, other = envelopes(recording), change(recording)
+    assert rows_of(prepared(recording).take([2, 0]), amplitudes).tolist() == [2, 0]
+    with pytest.raises(ValueError, match=said):
+        rows_of(prepared(other), amplitudes)
+    assert len(rows_of(prepared(other), envelopes(other))) == other.sizes["trial"]
