@@ -81,6 +81,7 @@ class Likeness(Result):
       table: group, quantity, unit, value, people's mean and SD, the distance in SDs, condition and subject.
       distance: group to the root mean square of its quantities' distances [SD].
       usual: group to the distance from the others within which 95 % of the people lie [SD].
+      remarks: on what the recording's signals show, as those of `response`.
     """
 
     label: str
@@ -92,6 +93,7 @@ class Likeness(Result):
     table: pd.DataFrame
     distance: Mapping[str, float]
     usual: Mapping[str, float]
+    remarks: tuple[str, ...] = ()
 
     def describe(self) -> Description:
         """Distances of admittance, ellipses and parameters."""
@@ -110,6 +112,7 @@ class Likeness(Result):
             title=f"{self.label} beside {len(self.reference_gains)} {who} ({self.task})",
             facts=tuple(facts),
             table=Table(("quantity", "arm", "people", "SD", "unit", "distance [SD]"), tuple(rows)),
+            remarks=self.remarks,
         )
 
     def is_human(self, group: str) -> bool:
@@ -193,6 +196,7 @@ def compare(
         table=table.assign(**labels_of(first)),
         distance={str(name): value for name, value in _distances(table).items()},
         usual=_usual(each),
+        remarks=estimate.remarks,
     )
 
 

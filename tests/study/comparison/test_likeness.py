@@ -41,6 +41,13 @@ def test_a_person_is_human_and_an_arm_of_iron_is_not():
         assert len(told_apart.plot().axes) == 2
 
 
+def test_signs_that_no_handle_has_are_remarked_on():
+    recording = linear_trial(ap.POSITION)
+    assert ap.compare(recording, "thesis", ideal=True).remarks == ()
+    turned = ap.compare(recording.assign(force=-recording["force"]), "thesis", ideal=True)
+    assert "as it would if the sign of force were turned" in turned.summary()
+
+
 @pytest.mark.slow(reason="draws people and simulates two trials of each")
 @pytest.mark.parametrize("task", ["PT", "RT"])
 def test_noise_pulses_and_few_trials_make_nobody_inhuman(task):
