@@ -8,6 +8,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from armperturb.plots.panels import legend
 from armperturb.plots.style import GREY, colours_for, figure_for, in_style
 from armperturb.recording import QUANTITIES, SIGNALS, check_recording, is_one_axis
 
@@ -82,8 +83,9 @@ def plot_recording(
     title = f"{who}, {which}" + (f", {conditions[0]}" if len(conditions) == 1 else "")
     figure.suptitle(title, fontsize=9, parse_math=False)
     if len(conditions) > 1:
-        handles = [Line2D([], [], color=colours[condition], label=condition) for condition in conditions]
-        legend = figure.legend(handles=handles, loc="outside lower center", ncols=min(len(conditions), 6))
-        for text in legend.get_texts():
-            text.set_parse_math(False)
+        legend(
+            figure,
+            *(Line2D([], [], color=colours[each], label=each) for each in conditions),
+            loc="outside lower center",
+        )
     return axes
