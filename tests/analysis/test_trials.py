@@ -32,6 +32,10 @@ def test_the_onset_is_the_first_sample_of_the_pulse_or_the_end(pulsed):
     assert onset_samples(changed.assign_coords(pulse_onset=("trial", [1e3] * 3))).tolist() == [n] * 3
 
 
+def test_people_may_be_numbered(pulsed):
+    assert ConditionTrials.prepare(pulsed.assign_coords(subject=("trial", [7, 7, 7]))).body.name == "7"
+
+
 def test_the_multisine_is_what_comes_before_the_first_pulse_of_trials_inside(pulsed):
     trials = ConditionTrials.prepare(pulsed)
     first = trials.first_onset

@@ -42,7 +42,7 @@ from armperturb.analysis.emg.channels import (
 from armperturb.analysis.emg.whitening import Intervals, Spectra, noise_spectra, whitening
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.arrays import Array, Indices
-from armperturb.recording import EXPECTED, Action, emg_highpass, muscle_actions
+from armperturb.recording import EXPECTED, TEXT_COORDINATES, Action, emg_highpass, muscle_actions
 from armperturb.validation import require_number, require_type
 
 if TYPE_CHECKING:
@@ -383,6 +383,7 @@ def envelopes(
 
 def _labels(recording: xr.Dataset) -> pd.DataFrame:
     frame = pd.DataFrame({name: recording[name].values for name in LABELS})
+    frame = frame.astype(dict.fromkeys(TEXT_COORDINATES, str))
     moves = np.abs(recording["perturbation"].values).max(axis=2) > NEGLIGIBLE
     start = np.where(moves.any(axis=1), moves.argmax(axis=1), recording.sizes["time"])
     # Nothing counts once a trial has met the workspace limit, nor does a pulse after that.

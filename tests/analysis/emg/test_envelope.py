@@ -303,3 +303,5 @@ def test_emg_of_other_trials_of_the_condition_is_refused(change, said):
     with pytest.raises(ValueError, match=said):
         rows_of(prepared(other), amplitudes)
     assert len(rows_of(prepared(other), envelopes(other))) == other.sizes["trial"]
+    numbered = recording.assign_coords(condition=("trial", [7.5] * 3), subject=("trial", [1] * 3))
+    assert rows_of(prepared(numbered), envelopes(numbered)).tolist() == [0, 1, 2]
