@@ -152,6 +152,7 @@ def test_an_identification_reads_as_a_table(identified):
         require_readable(result)
         require_readable(result.fit)
         require_readable(result.spectra)
+        assert result.spectra.to_frame().iloc[0, -2:].to_dict() == {"condition": condition, "subject": "relax"}
         text = result.summary()
         assert f"relax in {condition} (RT), 3 trials: model 1" in text
         assert f"VAF x {result.vaf[0]:.1f} %" in text

@@ -211,8 +211,9 @@ class Envelopes(Result):
         for condition in dict.fromkeys(self.labels["condition"]):
             mean = mean_known(amplitude[(self.labels["condition"] == condition).to_numpy()])
             for column, name in enumerate(self.muscles):
-                rows.append((condition, name, mean[column], mean[column] * self.reference_volts[column]))
-        return pd.DataFrame(rows, columns=["condition", "muscle", "amplitude", "amplitude_V"])
+                rows.append((name, mean[column], mean[column] * self.reference_volts[column], condition))
+        frame = pd.DataFrame(rows, columns=["muscle", "amplitude", "amplitude_V", "condition"])
+        return frame.assign(subject=self.labels["subject"].iloc[0])
 
     def to_xarray(self) -> xr.Dataset:
         """`amplitude` along trial, time and muscle, with the labels of the trials."""

@@ -110,8 +110,8 @@ class Onsets(Result):
         )
 
     def to_frame(self) -> pd.DataFrame:
-        """`latencies`."""
-        return self.latencies
+        """`latencies`, and conditions, with + between, and subject as the last columns."""
+        return self.latencies.assign(condition="+".join(self.conditions), subject=self.subject)
 
     def plot(self, figure: "Figure | None" = None) -> Any:
         """Draw the averages of all muscles about the pulses, with latencies.

@@ -140,8 +140,8 @@ class Reflexes(Result):
         )
 
     def to_frame(self) -> pd.DataFrame:
-        """`responses`."""
-        return self.responses
+        """`responses`, and condition and subject as the last columns."""
+        return self.responses.assign(condition=self.condition, subject=self.subject)
 
     def to_xarray(self) -> xr.Dataset:
         """`response`, `response_error` and `coherence` along muscle, joint and frequency."""

@@ -234,6 +234,8 @@ def test_an_offset_of_the_amplifier_is_no_rectification(modulated):
 def test_a_result_describes_itself_and_becomes_tables(modulated):
     result = envelopes(modulated)
     assert "EMG of A: 2 muscles in 11 trials" in result.summary()
+    assert result.to_frame().columns[-2:].tolist() == ["condition", "subject"]
+    assert set(result.to_frame()["subject"]) == {"A"}
     assert result.to_xarray()["amplitude"].shape == (11, 2000, 2)
     assert len(result.plot()) == 1
 
