@@ -264,7 +264,8 @@ def require_emg(recording: xr.Dataset) -> None:
     if abs(duration - others) > SHORTER:
         raise ValueError(
             f"EMG is not used: it lasts {duration:.6g} s at emg_rate = {rate:g} Hz, the other signals {others:.6g} s; "
-            "expected one duration (signals.emg.rate of the sidecar)"
+            "expected one duration (signals.emg.rate of the sidecar; of a recording that is cut, "
+            f"recording.sel(emg_time=slice(0, {others:.6g})) as well)"
         )
     if rate < 10.0 * LOW:
         raise ValueError(f"EMG is not used: emg_rate = {rate:g} Hz; expected at least {10.0 * LOW:g} Hz")

@@ -1,6 +1,5 @@
 """From a recording to the arm: admittance, environment, arm model and how well it predicts (thesis 2.6, 2.7)."""
 
-import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -298,8 +297,12 @@ def identify_conditions(
         conditions = {label: tuple(prepared_recordings(parts)) for label, parts in trials.items()}
     else:
         conditions = parts_by_condition(trials)
-    for part in itertools.chain(*conditions.values()):
+    for label, part in ((label, part) for label, parts in conditions.items() for part in parts):
         require_two_axes(part.recording)
+        if part.label != label:
+            raise ValueError(
+                f"identify: trials of {label!r} are of condition {part.label!r}; expected that as their key"
+            )
     conditions, remarks = used_conditions(conditions, window_start)
     for parts in conditions.values():
         for part in parts:

@@ -211,6 +211,7 @@ def low_passed(emg, cutoff):
     [
         (lambda r: r.drop_vars(["emg"]), "EMG is missing: the recording has no variable 'emg'"),
         (lambda r: r.assign_attrs(emg_rate=1000.0), "it lasts 20 s at emg_rate = 1000 Hz, the other signals 10 s"),
+        (lambda r: r.sel(time=slice(0, 5)), r"is cut, recording\.sel\(emg_time=slice\(0, 5\.005\)\) as well"),
         (lambda r: r.assign(emg=r["emg"] * 0.0), "all channels are zero; expected voltages"),
         (lambda r: r.assign(emg=abs(r["emg"])), "that of flexor, extensor is nowhere below zero, as if rectified"),
         (lambda r: r.assign(emg=low_passed(abs(r["emg"]), 6.0)), "that of flexor, extensor is nowhere below zero"),
