@@ -124,10 +124,17 @@ class Likeness(Result):
         return self.table.copy()
 
     @in_style()
-    def plot(self, figure: "Figure | None" = None) -> "Figure":
-        """Both gains of the admittance, with those of people as bands of two standard deviations."""
-        figure = figure_for(figure, 2.8)
-        for k, ax in enumerate(figure.subplots(1, 2, sharey=True)):
+    def plot(self, figure: "Figure | None" = None) -> Any:
+        """Draw both gains of the admittance, with those of people as bands of two standard deviations.
+
+        Args:
+          figure: where to draw; its height is set. None makes a new one of pyplot.
+
+        Returns:
+          Matplotlib axes, (2,): of the larger and of the smaller gain.
+        """
+        axes = figure_for(figure, 2.8).subplots(1, 2, sharey=True)
+        for k, ax in enumerate(axes):
             logs = np.log(self.reference_gains[..., k])
             mean, sd = logs.mean(axis=0), logs.std(axis=0, ddof=1)
             ax.fill_between(self.frequency, *1e3 * np.exp([mean - 2 * sd, mean + 2 * sd]), color=PALE, label="2 SD")
@@ -138,7 +145,7 @@ class Likeness(Result):
             if not k:
                 ax.set_ylabel("admittance [mm/N]")
                 ax.legend()
-        return figure
+        return axes
 
 
 def compare(
