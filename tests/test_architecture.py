@@ -32,7 +32,7 @@ ARROWS = {
     "files": set(),
     "compile_cache": set(),
     "extras": {"files"},
-    "seeds": set(),
+    "seeds": {"validation"},
     "jit": {"compile_cache"},
     "muscle_law": {"validation"},
     "person_files": {"files", "validation", "muscle_law"},
