@@ -13,7 +13,7 @@ from armperturb.environment import Environment
 from armperturb.files import packaged_table
 from armperturb.seeds import random_stream
 from armperturb.subject import HUMERUS_MASS_SHARE, POSITION, PRESETS, RELAX, TASKS, Subject, at_level
-from armperturb.validation import require_name, require_number, require_one_of, require_ranges
+from armperturb.validation import require_name, require_number, require_one_of, require_ranges, require_whole
 
 SPREAD = packaged_table(__package__, "spread.toml")
 """Standard deviation over the thesis's subjects of each parameter of a preset, SI."""
@@ -190,12 +190,12 @@ def draw_person(
       The person; it depends on these arguments only.
 
     Raises:
-      TypeError: an argument is no number.
+      TypeError: seed or number is no whole number.
       ValueError: seed or number is negative, or muscles is something else.
       RuntimeError: no stable person was found, which only an odd environment can cause.
     """
-    require_number("cohort", "seed", seed, at_least=0)
-    require_number("cohort", "number", number, at_least=0)
+    require_whole("cohort", "seed", seed, at_least=0)
+    require_whole("cohort", "number", number, at_least=0)
     require_one_of("cohort", "muscles", muscles, MUSCLES)
     environment = environment or Environment()
     # A stream of its own for each purpose: the draws of one task do not move those of the other.
@@ -226,11 +226,11 @@ def draw_cohort(
     """The first `n` people of a cohort, see `draw_person`: a larger cohort begins with the same people.
 
     Raises:
-      TypeError: an argument is no number.
+      TypeError: n or seed is no whole number.
       ValueError: n is not positive, seed is negative, or muscles is neither "nonlinear" nor "linear".
       RuntimeError: no stable person was found, which only an odd environment can cause.
     """
-    require_number("cohort", "n", n, at_least=1)
+    require_whole("cohort", "n", n, at_least=1)
     return tuple(draw_person(seed, number, environment, muscles=muscles) for number in range(n))
 
 

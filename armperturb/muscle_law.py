@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, Self
 
+import numpy as np
+
 from armperturb.validation import RANGES, require_keys, require_number
 
 PerElement = float | tuple[float, float, float]
@@ -71,6 +73,7 @@ class MuscleLaw:
         require_number("MuscleLaw", "parts", self.parts, at_least=1, at_most=MAX_PARTS, whole=True)
         for field, bounds in RANGES["MuscleLaw"].items():
             value = getattr(self, field)
+            value = value.tolist() if isinstance(value, np.ndarray) else value
             values = tuple(value) if isinstance(value, tuple | list) else (value,) * 3
             if len(values) != 3:
                 raise TypeError(

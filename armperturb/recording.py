@@ -250,7 +250,8 @@ def check_recording(recording: xr.Dataset, signals: Iterable[str] | None = None,
     """
     require_type(source, recording, xr.Dataset, EXPECTED)
     if not recording.sizes.get("trial"):
-        raise ValueError(f"{source}: there are no trials; expected at least one along the dimension 'trial'")
+        hint = " (recording.isel(trial=[0]) keeps it)" * ("trial" not in recording.dims)
+        raise ValueError(f"{source}: there are no trials; expected at least one along the dimension 'trial'{hint}")
     signals = required_signals(recording.attrs.get("servo")) if signals is None else tuple(signals)
     for name in signals:
         if name not in recording.data_vars:

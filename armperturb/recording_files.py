@@ -58,7 +58,8 @@ def encode_recording(recording: xr.Dataset) -> bytes:
     # In memory: on a full disk HDF5 fails over and over while it closes the file, up to a segmentation fault. Without
     # compression, which takes as long as a compiled simulation for noisy signals that it shortens by a fifth. The
     # format of HDF5 1.10 has checksums on what describes the arrays, too.
-    memory, packed = io.BytesIO(), _packed(recording)
+    # A store would be filled with lazy arrays only later, which leaves NaN.
+    memory, packed = io.BytesIO(), _packed(recording).compute()
     with h5netcdf.File(memory, "w", libver="v110") as file:
         encoding = {name: _checked(variable) for name, variable in packed.variables.items()}
         packed.dump_to_store(H5NetCDFStore(file), encoding=encoding)

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from armperturb.validation import require_whole
+
 
 def random_stream(seed: int, purpose: str, *numbers: int) -> np.random.SeedSequence:
     """A stream of random numbers of its own for each purpose: "order" of person 1 has nothing to do with "onset".
@@ -17,3 +19,19 @@ def random_stream(seed: int, purpose: str, *numbers: int) -> np.random.SeedSeque
 def trial_seed(seed: int, purpose: str, *numbers: int) -> int:
     """A seed of 63 bits for `Trial.seed`, so that thousands of people never share one; arguments as `random_stream`."""
     return int(random_stream(seed, purpose, *numbers).generate_state(1, np.uint64)[0] >> np.uint64(1))
+
+
+def generator_of(owner: str, seed: int | np.random.Generator) -> np.random.Generator:
+    """The generator that a user's seed stands for.
+
+    Args:
+      owner: what asks, for the message.
+      seed: >= 0, or a generator, which stands for itself.
+
+    Raises:
+      TypeError: seed is neither a whole number nor a generator.
+      ValueError: it is negative.
+    """
+    if not isinstance(seed, np.random.Generator):
+        require_whole(owner, "seed", seed, at_least=0)
+    return np.random.default_rng(seed)

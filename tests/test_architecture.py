@@ -18,7 +18,7 @@ ARM = BASE | {
     "analysis.cuts", "analysis.defaults", "analysis.plateaus", "analysis.arm", "analysis.excited_bands",
     "analysis.imbalance", "analysis.force_balance", "analysis.trials", "analysis.per_trials", "analysis.manipulator",
     "analysis.numerics", "analysis.start", "analysis.pulses_alone",
-    "analysis.results", "analysis.signs", "plots", "anthropometry",
+    "analysis.results", "analysis.signs", "analysis.joint_balance", "plots", "anthropometry",
 }  # fmt: skip
 OF_TRIALS = {"analysis.per_trials", "analysis.manipulator", "analysis.pulses_alone"}
 ANALYSIS = ARM | {"analysis.response", "analysis.measures", "analysis.emg", "analysis.fit", "analysis.nonlinear"}
@@ -32,7 +32,7 @@ ARROWS = {
     "files": set(),
     "compile_cache": set(),
     "extras": {"files"},
-    "seeds": set(),
+    "seeds": {"validation"},
     "jit": {"compile_cache"},
     "muscle_law": {"validation"},
     "person_files": {"files", "validation", "muscle_law"},
@@ -60,6 +60,7 @@ ARROWS = {
     "analysis.imbalance": BASE | {"analysis.excited_bands"},
     "analysis.force_balance": BASE | {"analysis.excited_bands", "analysis.imbalance"},
     "analysis.signs": BASE | {"analysis.cuts", "analysis.imbalance", "analysis.force_balance"},
+    "analysis.joint_balance": BASE | {"analysis.cuts", "analysis.force_balance"},
     "plots": BASE,
     "pages": BASE | {"plots"},
     "analysis.results": BASE | {"plots"},

@@ -174,6 +174,14 @@ def test_impossible_cohort_is_refused(arguments, message):
         draw_cohort(*arguments)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "field"), [((1.0, 0), "n = 1.0"), ((1, None), "seed = None"), ((1, 1.5), "seed")]
+)
+def test_numbers_of_a_cohort_are_whole(arguments, field):
+    with pytest.raises(TypeError, match=rf"cohort: {field}.*; expected a whole number"):
+        draw_cohort(*arguments)
+
+
 @pytest.mark.parametrize("draw_some", [draw_cohort, draw_person])
 def test_unknown_muscles_are_refused(draw_some):
     with pytest.raises(ValueError, match="cohort: muscles = 'soft'; expected one of nonlinear, linear"):

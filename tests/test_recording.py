@@ -5,6 +5,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+import xarray as xr
 
 from armperturb.foreign.program import Refused, parse
 from armperturb.joined_recordings import join_recordings
@@ -80,6 +81,16 @@ def test_file_gives_back_the_same_recording(recording, tmp_path):
     loaded = load_recording(tmp_path / "r.nc")
     assert loaded.identical(recording)
     assert [path.name for path in tmp_path.iterdir()] == ["r.nc"]
+
+
+def test_a_recording_of_lazy_arrays_is_saved_with_its_values(whole_recording, tmp_path):
+    pytest.importorskip("dask.array")
+    save_recording(whole_recording, tmp_path / "r.nc")
+    with xr.open_dataset(tmp_path / "r.nc", chunks={}, decode_timedelta=False) as lazy:
+        save_recording(lazy, tmp_path / "r.nc")  # under its name, too
+    assert load_recording(tmp_path / "r.nc").equals(whole_recording)
+    save_recording(whole_recording.chunk(), tmp_path / "again.nc")
+    assert load_recording(tmp_path / "again.nc").identical(whole_recording)
 
 
 def test_emg_has_its_own_clock_and_muscles(whole_recording):

@@ -24,7 +24,8 @@ def per_trials(function: Callable[Concatenate[ConditionTrials, P], T]) -> Callab
         ready = prepared(trials)
         call = signature.bind(ready, *args, **options)
         call.apply_defaults()
-        key = (function, tuple(call.arguments.items())[1:])
+        # By name: the function that a decorator replaced cannot be pickled.
+        key = (function.__module__, function.__qualname__, tuple(call.arguments.items())[1:])
         if key not in ready.results:
             ready.results[key] = function(ready, *args, **options)
         return ready.results[key]

@@ -121,7 +121,7 @@ class ConditionTrials:
                 )
         require_one_of("recording", "task", values["task"], TASKS)
         preset = POSITION if values["task"] == POSITION.task else RELAX
-        return replace(preset, name=values["subject"], **{name: values[name] for name in ARM_LABELS})
+        return replace(preset, name=self.name, **{name: values[name] for name in ARM_LABELS})
 
     @property
     def name(self) -> str:

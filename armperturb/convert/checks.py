@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from armperturb.analysis.joint_balance import DEGREES, LARGEST_ANGLE
 from armperturb.arrays import Array
 from armperturb.convert.angles import require_path_of_angles
 from armperturb.convert.faults import Timed
@@ -25,12 +26,6 @@ LARGEST_FORCE = 2000.0
 
 LARGEST_TORQUE = 500.0
 """That a joint bears [Nm]; refuses millinewton metres."""
-
-DEGREES = 180.0 / np.pi
-"""In a radian; factor by which an inertia is too small where an angle in degrees is declared in radians [-]."""
-
-LARGEST_ANGLE = 2 * np.pi
-"""Of any joint [rad]."""
 
 LONGEST_SEGMENT: float = TABLES["ranges"]["l_h"][1]
 """Of any person [m], where the person's own are unknown."""

@@ -8,6 +8,7 @@ from typing import NamedTuple, get_args
 import numpy as np
 import xarray as xr
 
+from armperturb.analysis.joint_balance import check_joint
 from armperturb.convert.alignment import in_si, joined, resampled, resampled_recording, timed_signals
 from armperturb.convert.balance import check_balance, require_handle, require_signs
 from armperturb.convert.checks import (
@@ -28,7 +29,6 @@ from armperturb.convert.faults import (
     longest_stretch,
     without_padding,
 )
-from armperturb.convert.joint_balance import check_joint
 from armperturb.convert.raw import RawTrial
 from armperturb.convert.reading import ARRAYS, C3D, TEXT, read_trials
 from armperturb.convert.sidecar import Sidecar

@@ -8,10 +8,10 @@ from typing import Any, get_args
 
 import numpy as np
 
+from armperturb.analysis.joint_balance import INERTIAS, limb_inertia
 from armperturb.convert.columns import WORD, Column, axis_of
 from armperturb.convert.fields import MEANINGS
 from armperturb.convert.importer import import_trials
-from armperturb.convert.joint_balance import limb_inertia
 from armperturb.convert.reading import read_trials
 from armperturb.convert.sidecar import BODIES, Sidecar
 from armperturb.convert.tables import TABLES, Repair
@@ -86,7 +86,7 @@ def one_axis_fields(path: Path, columns: Sequence[Column], guessed: dict[str, st
             signal["exerted_by"] = "handle"
         content["signals"][name] = signal
     words = {word.lower() for text in (path.stem, *(column.label for column in columns)) for word in WORD.findall(text)}
-    joint = next((name for name in TABLES["inertias"] if name in words - {"any", "mass"}), None)
+    joint = next((name for name in INERTIAS if name in words - {"any", "mass"}), None)
     content["labels"] = {} if joint is None else {"joint": joint}
     return content
 
@@ -146,7 +146,7 @@ def settled_one_axis(
             continue
         inertia = limb_inertia(recording)
         if inertia is not None:
-            low, high = TABLES["inertias"][content["labels"].get("joint", "any") if unit in ANGLES else "mass"]
+            low, high = INERTIAS[content["labels"].get("joint", "any") if unit in ANGLES else "mass"]
             note = f"physics agrees: {servo} servo, the force of the {body} and movement in {unit} move {inertia:.3g} "
             note += "kg m^2" if unit in ANGLES else "kg"
             passed.append((servos.index(servo), abs(math.log(inertia**2 / (low * high))), unit, body, servo, note))

@@ -37,6 +37,7 @@ _STEPS = 50
 """Steps per stage; more buy less than they cost."""
 
 
+@np.errstate(under="ignore")  # high powers of what is far below the peak are zero
 def reduce_crest(lines: np.ndarray, amplitudes: np.ndarray, starts: np.ndarray) -> np.ndarray:
     """Lower the peaks of signals sum_k amplitudes_k cos(2 pi lines_k t + phases_k), t in periods.
 

@@ -6,6 +6,7 @@ from scipy.fft import irfft
 from armperturb.perturbations.crest import N_STARTS, reduce_crest
 from armperturb.perturbations.multisine import DESIGN_RATE, PERIOD_SAMPLES
 from armperturb.perturbations.sampled import Sampled
+from armperturb.seeds import generator_of
 from armperturb.validation import require_number
 
 LEAST_POWER = 1e-9
@@ -30,7 +31,7 @@ def draw_multisine(
       n_period: samples per period, at most 4096.
 
     Raises:
-      TypeError: duration is not a number.
+      TypeError: duration is not a number, or seed neither a whole number nor a generator.
       ValueError: lines are not as described, a power is negative or not finite, an axis has none, or the duration is
         too short.
     """
@@ -47,7 +48,7 @@ def draw_multisine(
     highest = n_period // 4 - 1
     if lines.min() < 1 or lines.max() > highest:
         raise ValueError(f"draw_multisine: lines from {lines.min()} to {lines.max()}; expected 1 to {highest}")
-    starts = np.random.default_rng(seed).uniform(-np.pi, np.pi, (2, N_STARTS, len(lines)))
+    starts = generator_of("draw_multisine", seed).uniform(-np.pi, np.pi, (2, N_STARTS, len(lines)))
     spectrum = np.zeros((2, n_period // 2 + 1), complex)
     for axis in range(2):
         used = power[:, axis] > LEAST_POWER * power[:, axis].sum()

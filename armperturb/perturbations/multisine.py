@@ -9,6 +9,7 @@ from scipy.fft import irfft
 
 from armperturb.perturbations.crest import N_STARTS, reduce_crest
 from armperturb.perturbations.perturbation import sample_times
+from armperturb.seeds import generator_of
 from armperturb.validation import require_one_of, require_ranges
 
 DESIGN_RATE = 200.0
@@ -107,10 +108,10 @@ class Multisine:
           crested: whether to lower the peaks (some 0.07 s per axis); if not, the phases stay uniformly random.
 
         Raises:
-          TypeError: a value is not a number.
+          TypeError: a value is not a number, or seed neither a whole number nor a generator.
           ValueError: a value is not finite or out of its range.
         """
-        starts = np.random.default_rng(seed).uniform(-np.pi, np.pi, (2, N_STARTS, CLUSTERS.size))
+        starts = generator_of("Multisine", seed).uniform(-np.pi, np.pi, (2, N_STARTS, CLUSTERS.size))
         multisine = cls(rms=rms, phases=starts[:, 0], reduced=reduced, duration=duration)
         if not crested:
             return multisine

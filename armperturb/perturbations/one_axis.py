@@ -4,6 +4,7 @@ import numpy as np
 from scipy import signal
 
 from armperturb.arrays import Array
+from armperturb.seeds import generator_of
 from armperturb.validation import require_number
 
 
@@ -26,7 +27,7 @@ def random_steps(
     for name, value in (("duration", duration), ("rate", rate), ("size", size), ("hold", hold)):
         require_number("random_steps", name, value, above=0.0)
     require_number("random_steps", "cutoff", cutoff, above=0.0, below=0.5 * rate)
-    rng = np.random.default_rng(seed)
+    rng = generator_of("random_steps", seed)
     n_samples = round(duration * rate)
     n_levels = int(np.ceil(duration / (0.6 * hold))) + 1
     lengths = np.maximum(1, np.rint(rate * hold * rng.uniform(0.6, 1.4, n_levels))).astype(int)
@@ -48,14 +49,14 @@ def random_noise(
       order: of the low-pass, 1 to 8.
 
     Raises:
-      TypeError: the order is not a whole number.
+      TypeError: the order or seed is not a whole number.
       ValueError: a number is out of its range.
     """
     for name, value in (("duration", duration), ("rate", rate), ("rms", rms)):
         require_number("random_noise", name, value, above=0.0)
     require_number("random_noise", "cutoff", cutoff, above=0.0, below=0.5 * rate)
     require_number("random_noise", "order", order, at_least=1, at_most=8, whole=True)
-    white = np.random.default_rng(seed).standard_normal(round(duration * rate))
+    white = generator_of("random_noise", seed).standard_normal(round(duration * rate))
     noise = np.asarray(signal.sosfilt(signal.butter(order, cutoff, fs=rate, output="sos"), white))
     return rms * noise / noise.std()
 

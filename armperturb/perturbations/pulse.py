@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from armperturb.perturbations.perturbation import sample_times
+from armperturb.seeds import generator_of
 from armperturb.validation import require_number, require_ranges
 
 
@@ -64,9 +65,9 @@ def draw_onset(seed: int | np.random.Generator, low: float = 5.0, high: float = 
     """A random onset for a pulse alone [s], uniform between `low` and `high` [s] (thesis 2.4).
 
     Raises:
-      TypeError: a bound is not a number.
+      TypeError: a bound is not a number, or seed neither a whole number nor a generator.
       ValueError: a bound is not finite or negative, or high lies below low.
     """
     require_number("draw_onset", "low", low, at_least=0.0)
     require_number("draw_onset", "high", high, at_least=low)
-    return float(np.random.default_rng(seed).uniform(low, high))
+    return float(generator_of("draw_onset", seed).uniform(low, high))

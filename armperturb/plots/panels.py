@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,6 +15,9 @@ from armperturb.arrays import Array, ComplexArray
 from armperturb.plots.style import new_figure
 
 AXES = ("x", "y")
+
+Place = Literal["outside upper center", "outside lower center"]
+"""Of a figure's legend."""
 
 Element = tuple[int, int]
 """Output and input axis of an admittance."""
@@ -136,11 +139,22 @@ def label_frequency(ax: Axes, **text: Any) -> None:
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
-def legend(figure: Figure, *handles: Line2D | Patch, n_columns: int = 6) -> None:
-    """One legend for the whole figure, above its panels; a $ in a name is no mathematics."""
-    drawn = figure.legend(handles=list(handles), loc="outside upper center", ncols=min(len(handles), n_columns))
-    for text in drawn.get_texts():
-        text.set_parse_math(False)
+def legend(figure: Figure, *handles: Line2D | Patch, n_columns: int = 6, loc: Place = "outside upper center") -> None:
+    """One legend for the whole figure, above its panels or below; a $ in a name is no mathematics.
+
+    Args:
+      figure: of which it is.
+      *handles: what it explains.
+      n_columns: at most; fewer where names are so long that they would leave the figure.
+      loc: of Matplotlib.
+    """
+    for n in range(min(len(handles), n_columns), 0, -1):
+        drawn = figure.legend(handles=list(handles), loc=loc, ncols=n)
+        for text in drawn.get_texts():
+            text.set_parse_math(False)
+        if n == 1 or drawn.get_window_extent().width <= figure.bbox.width:
+            return
+        drawn.remove()
 
 
 def padded(values: list[float]) -> tuple[float, float]:

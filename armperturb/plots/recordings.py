@@ -8,6 +8,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from armperturb.plots.panels import legend
 from armperturb.plots.style import GREY, colours_for, figure_for, in_style
 from armperturb.recording import QUANTITIES, SIGNALS, check_recording, is_one_axis
 
@@ -21,6 +22,9 @@ SHOWN = {
 
 SHOWN_UNITS = {"N": (1.0, "N"), "m": (1e3, "mm"), "Nm": (1.0, "Nm"), "rad": (np.degrees(1.0), "deg")}
 """Unit of a signal of one axis to the factor to the unit in which it is drawn, and that unit."""
+
+OF_MASK = "plot(recording.isel(trial=mask)) draws those of a mask"
+"""How trials are picked otherwise, for messages."""
 
 ROW = 1.35
 """Height of a signal's panels [inch]."""
@@ -42,14 +46,19 @@ def plot_recording(
       by its quantity. A dotted line is the onset of a pulse.
 
     Raises:
-      ValueError: the recording is refused, or has no such trial.
+      TypeError: a number of a trial is no whole number, as in a mask.
+      ValueError: the recording is refused, has no such trial, or none is asked for.
     """
     check_recording(recording)
     n = recording.sizes["trial"]
-    chosen = list(range(n)) if trial is None else [int(k) for k in np.atleast_1d(trial)]
+    chosen = list(range(n)) if trial is None else np.atleast_1d(trial).tolist()
     for k in chosen:
+        if isinstance(k, bool) or not isinstance(k, int):
+            raise TypeError(f"plot: trial = {k!r}; expected the number of a trial ({OF_MASK})")
         if not 0 <= k < n:
             raise ValueError(f"plot: trial = {k}; expected 0 to {n - 1}")
+    if not chosen:
+        raise ValueError(f"plot: trial is empty; expected at least one of 0 to {n - 1} ({OF_MASK})")
     shown = recording.isel(trial=chosen)
     names = [name for name in SHOWN if name in shown.data_vars]
     conditions = list(dict.fromkeys(shown["condition"].values.tolist()))
@@ -77,13 +86,14 @@ def plot_recording(
         row[0].set_ylabel(f"[{unit}]")
     for ax in axes[-1]:
         ax.set_xlabel("time [s]")
-    who = ", ".join(dict.fromkeys(shown["subject"].values.tolist()))
+    who = ", ".join(dict.fromkeys(map(str, shown["subject"].values)))
     which = f"trial {chosen[0]}" if len(chosen) == 1 else f"{len(chosen)} trials"
     title = f"{who}, {which}" + (f", {conditions[0]}" if len(conditions) == 1 else "")
     figure.suptitle(title, fontsize=9, parse_math=False)
     if len(conditions) > 1:
-        handles = [Line2D([], [], color=colours[condition], label=condition) for condition in conditions]
-        legend = figure.legend(handles=handles, loc="outside lower center", ncols=min(len(conditions), 6))
-        for text in legend.get_texts():
-            text.set_parse_math(False)
+        legend(
+            figure,
+            *(Line2D([], [], color=colours[each], label=each) for each in conditions),
+            loc="outside lower center",
+        )
     return axes

@@ -1,7 +1,7 @@
 """Results that describe themselves: text of few lines, HTML, tables of one schema, and axes that hold the data."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import matplotlib
@@ -152,6 +152,7 @@ def test_an_identification_reads_as_a_table(identified):
         require_readable(result)
         require_readable(result.fit)
         require_readable(result.spectra)
+        assert result.spectra.to_frame().iloc[0, -2:].to_dict() == {"condition": condition, "subject": "relax"}
         text = result.summary()
         assert f"relax in {condition} (RT), 3 trials: model 1" in text
         assert f"VAF x {result.vaf[0]:.1f} %" in text
@@ -162,6 +163,17 @@ def test_an_identification_reads_as_a_table(identified):
     if identified["RT7.5"].fit.estimator == "thesis":
         assert "3 trials of relax" in repr(detail)
         require_readable(detail.fits[0])
+
+
+def test_structures_and_remarks_that_conditions_do_not_share_are_said_of_each(identified):
+    first, second = identified.values()
+    other = replace(second.fit, structure="3b", remarks=("of both", "of one"))
+    results = [replace(first, fit=replace(first.fit, remarks=("of both",))), replace(second, fit=other)]
+    said = Identifications(dict(zip(identified, results, strict=True))).describe()
+    assert "model" not in said.title
+    assert [fact.split(", ")[0] for fact in said.facts] == ["RT7.5: model 1", "RT22.5: model 3b"]
+    assert said.remarks == ("of both", "RT22.5: of one")
+    assert "model 1, " in identified.describe().title
 
 
 def test_every_estimator_has_the_same_table(identified, written):

@@ -1,6 +1,9 @@
 """What no handle can show is said of recordings that come as arrays, which no converter has checked."""
 
+import re
+
 import numpy as np
+import one_joint
 import pytest
 from foreign_arms import Arm
 from foreign_recordings import Setup
@@ -46,3 +49,33 @@ def test_responses_and_fits_remark_on_them():
     said = ap.identify(millimetres, "1", estimator="frequency").fit.remarks
     assert any("kg; expected 0.1 to 60 kg (a wrong unit of displacement" in remark for remark in said)
     assert np.isfinite(ap.response(millimetres).response).all()
+
+
+def scaled(recording, name, factor):
+    """The recording with a signal multiplied by a factor, in the unit that it had."""
+    return recording.assign({name: (factor * recording[name]).assign_attrs(recording[name].attrs)})
+
+
+TURNED = r"inertia comes out at -0\.0.*as it would if the sign of force were turned"
+
+
+@pytest.mark.parametrize(
+    ("servo", "name", "factor", "said"),
+    [
+        ("position", "displacement", -1.0, TURNED),
+        ("force", "force", -1.0, TURNED),
+        (
+            "position",
+            "displacement",
+            np.degrees(1.0),
+            r"to 0\.4 kg m\^2 of the ankle \(an angle in degrees declared",
+        ),
+    ],
+)
+def test_signs_and_units_that_no_joint_has_are_remarked_on(servo, name, factor, said):
+    recording = one_joint.recording(one_joint.person("ankle", 9, "linear"), 9, servo, duration=12.0, decibel=20.0)
+    wrong = scaled(recording, name, factor)
+    for function, options in ((ap.response, {"frequency": [3.0, 9.0]}), (ap.identify_joint, {"reflex": "none"})):
+        counts = [sum("comes out at" in each for each in function(r, **options).remarks) for r in (recording, wrong)]
+        assert counts == [0, 1]
+        assert any(re.search(said, remark) for remark in function(wrong, **options).remarks)

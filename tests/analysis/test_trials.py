@@ -1,5 +1,7 @@
 """Trials of a condition: checked, cut and identified once."""
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -30,6 +32,10 @@ def test_the_onset_is_the_first_sample_of_the_pulse_or_the_end(pulsed):
     assert onset_samples(changed.assign_coords(pulse_onset=("trial", [1e3] * 3))).tolist() == [n] * 3
 
 
+def test_people_may_be_numbered(pulsed):
+    assert ConditionTrials.prepare(pulsed.assign_coords(subject=("trial", [7, 7, 7]))).body.name == "7"
+
+
 def test_the_multisine_is_what_comes_before_the_first_pulse_of_trials_inside(pulsed):
     trials = ConditionTrials.prepare(pulsed)
     first = trials.first_onset
@@ -43,6 +49,17 @@ def test_the_multisine_is_what_comes_before_the_first_pulse_of_trials_inside(pul
     ):
         line_spectra(trials)
     assert line_spectra(trials.multisine).line.size > 20
+
+
+def test_trials_that_were_used_can_be_sent_to_another_process_with_their_results(pulsed, monkeypatch):
+    trials = ConditionTrials.prepare(pulsed).take([0, 1])
+    used = response(trials, window_start=2.0)
+    line_spectra(trials.whole.multisine)
+    copy = pickle.loads(pickle.dumps(trials))
+    monkeypatch.setattr(Balance, "fit", lambda _: pytest.fail("the manipulator is identified again"))
+    assert copy.environment == trials.environment
+    assert len(copy.results) == len(trials.results) > 0
+    np.testing.assert_array_equal(response(copy, window_start=2.0).response, used.response)
 
 
 def test_trials_that_are_taken_share_manipulator_and_displacement(pulsed, monkeypatch):

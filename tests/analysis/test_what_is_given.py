@@ -87,7 +87,7 @@ def test_datasets_that_are_no_recording_are_refused(analyse):
         (recording.drop_vars("task"), "coordinate 'task' along trial is missing"),
         (recording.drop_vars("subject"), "coordinate 'subject' along trial is missing"),
         (recording.isel(trial=[]), "there are no trials"),
-        (recording.isel(trial=0), "there are no trials"),
+        (recording.isel(trial=0), r"there are no trials; .* 'trial' \(recording\.isel\(trial=\[0\]\) keeps it\)$"),
     ):
         with pytest.raises(ValueError, match=message):
             analyse(given)
@@ -111,6 +111,8 @@ def test_files_and_nonlinear_fits_take_recordings_alone(tmp_path, monkeypatch):
 def test_what_conditions_hold_is_checked():
     with pytest.raises(TypeError, match=f"recordings = 'PT'; {A_DATASET}"):
         ap.identify_conditions({"PT7.5": "PT"})
+    with pytest.raises(ValueError, match=r"trials of 'relaxed' are of condition '.+'; expected that as their key"):
+        ap.identify_conditions({"relaxed": [made()]})
 
 
 @pytest.mark.parametrize(

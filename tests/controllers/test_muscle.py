@@ -480,6 +480,13 @@ def test_bad_laws_are_named(change, error, message):
         MuscleLaw(**change)
 
 
+def test_arrays_are_taken_as_what_they_hold():
+    law = MuscleLaw(elastic_limit_deg=np.array([1.0, 2.0, 3.0]), recovery_time=np.array(2.0))
+    assert law == MuscleLaw(elastic_limit_deg=(1.0, 2.0, 3.0), recovery_time=2.0)
+    with pytest.raises(TypeError, match=r"elastic_limit_deg = \[1.0, 2.0\]; expected a number, or three"):
+        MuscleLaw(elastic_limit_deg=np.array([1.0, 2.0]))
+
+
 def test_bad_subjects_with_a_law_are_named():
     with pytest.raises(ValueError, match=r"b_s = 5.78; expected at least b_se = 8.83 with shear-thinning damping"):
         with_law(POSITION, thinning_velocity=0.2)

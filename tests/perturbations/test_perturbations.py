@@ -426,3 +426,16 @@ def test_stored_arrays_are_read_only(multisine):
     for array in (multisine.phases, CLUSTERS, Sampled(force=np.ones((5, 2)), rate=10.0).force):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0
+
+
+@pytest.mark.parametrize("draw", [lambda seed: Multisine.draw(seed=seed, rms=1.0, crested=False), draw_onset])
+@pytest.mark.parametrize(("seed", "error"), [(None, TypeError), ("a", TypeError), (1.5, TypeError), (-1, ValueError)])
+def test_seeds_are_whole_numbers(draw, seed, error):
+    with pytest.raises(error, match=rf"seed = {seed!r}; expected a (whole|finite) number"):
+        draw(seed)
+
+
+def test_no_phase_depends_on_what_numpy_does_with_errors():
+    phases = Multisine.draw(seed=1, rms=1.0).phases
+    with np.errstate(all="raise"):
+        np.testing.assert_array_equal(Multisine.draw(seed=1, rms=1.0).phases, phases)

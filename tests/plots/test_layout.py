@@ -162,3 +162,14 @@ def test_a_layout_that_fails_leaves_nothing_behind(monkeypatch):
         svg(figure)
     assert "draw" not in vars(figure)
     assert "get_tightbbox" not in vars(figure.axes[0].xaxis)
+
+
+@pytest.mark.parametrize(("label", "n_columns"), [("PT", 6), ("PT7.5 with the eyes open", 3), ("a long name " * 20, 1)])
+@pytest.mark.parametrize("side", ["upper", "lower"])
+def test_legends_of_long_names_have_fewer_columns(label, n_columns, side):
+    figure = new_figure(3.0)
+    figure.subplots()
+    legend(figure, *(Line2D([], [], label=label) for _ in range(8)), loc=f"outside {side} center")
+    (drawn,) = figure.legends
+    assert drawn._ncols == n_columns
+    assert n_columns == 1 or drawn.get_window_extent().width <= figure.bbox.width

@@ -44,6 +44,15 @@ def test_single_trials_and_conditions(noisy_relax_recording):
         armperturb.plot(without, trial=6)
     with pytest.raises(ValueError, match="trial = -1; expected 0 to 5"):
         armperturb.plot(without, trial=-1)
+    mask = without["condition"] == "RT22.5"
+    with pytest.raises(TypeError, match=r"trial = False; expected the number of a trial \(plot\(recording\.isel"):
+        armperturb.plot(without, trial=mask)
+    with pytest.raises(TypeError, match=r"trial = 1\.9; expected the number of a trial"):
+        armperturb.plot(without, trial=1.9)
+    with pytest.raises(ValueError, match="trial is empty; expected at least one of 0 to 5"):
+        armperturb.plot(without, trial=[])
+    numbered = without.isel(trial=mask).assign_coords(subject=("trial", [7, 7, 7]))
+    assert armperturb.plot(numbered, figure=new_figure(1.0))[0, 0].figure.get_suptitle() == "7, 3 trials, RT22.5"
 
 
 @pytest.mark.parametrize("n", [1, 6, 7, 24])

@@ -103,8 +103,9 @@ class Activity(Result):
         )
 
     def to_frame(self) -> pd.DataFrame:
-        """`levels`."""
-        return self.levels
+        """`levels`, with condition and subject as the last columns."""
+        others = self.levels.drop(columns="condition")
+        return others.assign(condition=self.levels["condition"], subject=self.subject)
 
     def plot(self, figure: "Figure | None" = None) -> Any:
         """Draw the index of co-contraction by condition, and the amplitude of each muscle.

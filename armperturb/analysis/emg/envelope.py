@@ -42,7 +42,7 @@ from armperturb.analysis.emg.channels import (
 from armperturb.analysis.emg.whitening import Intervals, Spectra, noise_spectra, whitening
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.arrays import Array, Indices
-from armperturb.recording import EXPECTED, Action, emg_highpass, muscle_actions
+from armperturb.recording import EXPECTED, TEXT_COORDINATES, Action, emg_highpass, muscle_actions
 from armperturb.validation import require_number, require_type
 
 if TYPE_CHECKING:
@@ -161,27 +161,6 @@ class Envelopes(Result):
         """Amplitude over the reference's [-] of power that may have been averaged, (..., muscle)."""
         return np.sqrt(np.maximum(power - self.noise, 0.0))
 
-    def rows(self, subject: str, condition: str, n_trials: int) -> Indices:
-        """Which trials are those of a condition, in the order of the recording, (trial,).
-
-        Args:
-          subject: of the other signals.
-          condition: that it is.
-          n_trials: how many the other signals have.
-
-        Raises:
-          ValueError: there are more of it, or fewer, or they are somebody else's.
-        """
-        if subject != (whose := str(self.labels["subject"].iloc[0])):
-            raise ValueError(f"EMG is not used: it is {whose}'s, the other signals {subject}'s; expected one person's")
-        rows = np.flatnonzero((self.labels["condition"] == condition).to_numpy())
-        if len(rows) != n_trials:
-            raise ValueError(
-                f"EMG is not used: it has {len(rows)} trials of {condition}, the other signals {n_trials}; "
-                "expected the same trials"
-            )
-        return rows
-
     def relative_variance(self, duration: float) -> Array:
         """Variance over squared mean of an amplitude that is averaged so long [s], far above the noise, (muscle,)."""
         return 1.0 / (2.0 * self.samples_per_second * duration)
@@ -232,8 +211,9 @@ class Envelopes(Result):
         for condition in dict.fromkeys(self.labels["condition"]):
             mean = mean_known(amplitude[(self.labels["condition"] == condition).to_numpy()])
             for column, name in enumerate(self.muscles):
-                rows.append((condition, name, mean[column], mean[column] * self.reference_volts[column]))
-        return pd.DataFrame(rows, columns=["condition", "muscle", "amplitude", "amplitude_V"])
+                rows.append((name, mean[column], mean[column] * self.reference_volts[column], condition))
+        frame = pd.DataFrame(rows, columns=["muscle", "amplitude", "amplitude_V", "condition"])
+        return frame.assign(subject=self.labels["subject"].iloc[0])
 
     def to_xarray(self) -> xr.Dataset:
         """`amplitude` along trial, time and muscle, with the labels of the trials."""
@@ -284,7 +264,8 @@ def require_emg(recording: xr.Dataset) -> None:
     if abs(duration - others) > SHORTER:
         raise ValueError(
             f"EMG is not used: it lasts {duration:.6g} s at emg_rate = {rate:g} Hz, the other signals {others:.6g} s; "
-            "expected one duration (signals.emg.rate of the sidecar)"
+            "expected one duration (signals.emg.rate of the sidecar; of a recording that is cut, "
+            f"recording.sel(emg_time=slice(0, {others:.6g})) as well)"
         )
     if rate < 10.0 * LOW:
         raise ValueError(f"EMG is not used: emg_rate = {rate:g} Hz; expected at least {10.0 * LOW:g} Hz")
@@ -404,6 +385,7 @@ def envelopes(
 
 def _labels(recording: xr.Dataset) -> pd.DataFrame:
     frame = pd.DataFrame({name: recording[name].values for name in LABELS})
+    frame = frame.astype(dict.fromkeys(TEXT_COORDINATES, str))
     moves = np.abs(recording["perturbation"].values).max(axis=2) > NEGLIGIBLE
     start = np.where(moves.any(axis=1), moves.argmax(axis=1), recording.sizes["time"])
     # Nothing counts once a trial has met the workspace limit, nor does a pulse after that.

@@ -26,8 +26,8 @@ import pandas as pd
 from scipy import stats
 
 from armperturb.analysis.emg.envelope import Envelopes, mean_known
+from armperturb.analysis.emg.matching import rows_of
 from armperturb.analysis.emg.onset_fit import LATENCIES, N_GAINS, Fits, MusclePower, Stretch
-from armperturb.analysis.emg.reflex import rows_of
 from armperturb.analysis.emg.rotation import rotation
 from armperturb.analysis.results import Description, Result, Table
 from armperturb.analysis.trials import ConditionTrials
@@ -110,8 +110,8 @@ class Onsets(Result):
         )
 
     def to_frame(self) -> pd.DataFrame:
-        """`latencies`."""
-        return self.latencies
+        """`latencies`, and conditions, with + between, and subject as the last columns."""
+        return self.latencies.assign(condition="+".join(self.conditions), subject=self.subject)
 
     def plot(self, figure: "Figure | None" = None) -> Any:
         """Draw the averages of all muscles about the pulses, with latencies.

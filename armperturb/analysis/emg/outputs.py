@@ -7,6 +7,7 @@ import numpy as np
 
 from armperturb.analysis.arm.geometry import hand_jacobian
 from armperturb.analysis.emg.envelope import Envelopes
+from armperturb.analysis.emg.matching import rows_of
 from armperturb.analysis.emg.rotation import rotation
 from armperturb.analysis.response.record_window import RecordWindow
 from armperturb.analysis.trials import ConditionTrials
@@ -73,7 +74,7 @@ def reflex_outputs(trials: ConditionTrials, envelopes: Envelopes) -> ReflexOutpu
         these is dead in a trial.
     """
     require_known_muscles(envelopes)
-    rows = envelopes.rows(trials.name, trials.label, trials.n_trials)
+    rows = rows_of(trials, envelopes)
     window = RecordWindow.of(trials)
     amplitude = envelopes.amplitudes(rows)
     alive = np.flatnonzero(np.isfinite(amplitude[:, : window.end]).all(axis=(0, 1)))

@@ -26,6 +26,7 @@ from scipy import fft, optimize, stats
 
 from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.emg.envelope import Envelopes
+from armperturb.analysis.emg.matching import rows_of
 from armperturb.analysis.emg.pulse_average import pulse_averages
 from armperturb.analysis.emg.rotation import rotation
 from armperturb.analysis.emg.searched_p import searched_p
@@ -139,8 +140,8 @@ class Reflexes(Result):
         )
 
     def to_frame(self) -> pd.DataFrame:
-        """`responses`."""
-        return self.responses
+        """`responses`, and condition and subject as the last columns."""
+        return self.responses.assign(condition=self.condition, subject=self.subject)
 
     def to_xarray(self) -> xr.Dataset:
         """`response`, `response_error` and `coherence` along muscle, joint and frequency."""
@@ -272,21 +273,6 @@ def _remarks(label: str, responses: pd.DataFrame, muscles: Mapping[str, Action])
         f"EMG of {', '.join(shortened)} in {label} answers to shortening: flexors that are named as extensors, or the "
         "other way round (sign in signals.emg.muscles of the sidecar), or activity that is no reflex",
     )
-
-
-def rows_of(trials: ConditionTrials, envelopes: Envelopes) -> Indices:
-    """Which trials of the envelopes these are, (trial,).
-
-    Args:
-      trials: all of a condition that the envelopes hold, or some that were taken from these.
-      envelopes: of the person.
-
-    Raises:
-      ValueError: the envelopes hold other trials of the condition.
-    """
-    whole = trials.whole or trials
-    rows = envelopes.rows(whole.name, whole.label, whole.n_trials)
-    return rows if trials.whole is None else rows[trials.numbers]
 
 
 def _design(q: ComplexArray, f: Array, delay: float) -> Array:

@@ -97,10 +97,7 @@ def write_identification(results: Identifications, folder: str | Path) -> list[P
     names = ("admittance.csv", "parameters.csv", "fit.json", *(("endpoint.csv", "endpoint.svg") if endpoints else ()))
     paths = [folder / name for name in names]
     with written_together(paths) as (admittance, parameters, fit, *of_hand):
-        frames = [
-            result.spectra.to_frame().assign(condition=label, **result.fit.labels) for label, result in results.items()
-        ]
-        write_csv(pd.concat(frames), admittance)
+        write_csv(pd.concat([result.spectra.to_frame() for result in results.values()]), admittance)
         write_csv(results.to_frame(), parameters)
         fit.write_text(summary + "\n", encoding="utf-8")
         if endpoints:

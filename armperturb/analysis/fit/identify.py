@@ -1,6 +1,5 @@
 """From a recording to the arm: admittance, environment, arm model and how well it predicts (thesis 2.6, 2.7)."""
 
-import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -132,19 +131,25 @@ class Identifications(Result, Mapping[str, Identification]):
         """Who was identified, how well each arm predicts, and the estimates of all conditions side by side."""
         first = next(iter(self.values())).fit
         names = dict.fromkeys(name for result in self.values() for name in result.fit.values)
+        models = {condition: f"model {result.fit.structure}, " for condition, result in self.items()}
+        shared = models[first.condition] if len(set(models.values())) == 1 else ""
+        whose: dict[str, dict[str, None]] = {}
+        for condition, result in self.items():
+            for remark in result.fit.remarks:
+                whose.setdefault(remark, {})[condition] = None
         return Description(
             title=f"Arm of {first.arm.name} in {len(self)} condition{'' if len(self) == 1 else 's'}: "
-            f"model {first.structure}, {ESTIMATOR_NAMES[first.estimator]}",
+            f"{shared}{ESTIMATOR_NAMES[first.estimator]}",
             facts=tuple(
-                f"{condition}: {result.n_trials} trials, VAF x {result.vaf[0]:.1f} %, y {result.vaf[1]:.1f} %; "
-                f"{result.fit.message}"
+                f"{condition}: {'' if shared else models[condition]}{result.n_trials} trials, "
+                f"VAF x {result.vaf[0]:.1f} %, y {result.vaf[1]:.1f} %; {result.fit.message}"
                 for condition, result in self.items()
             ),
             table=Table(
                 ("parameter", "unit", *self),
                 tuple((name, unit(name), *(_with_error(of.fit, name) for of in self.values())) for name in names),
             ),
-            remarks=tuple(dict.fromkeys(remark for result in self.values() for remark in result.fit.remarks)),
+            remarks=tuple(said if len(of) == len(self) else f"{', '.join(of)}: {said}" for said, of in whose.items()),
             details=("Estimates +/- standard errors; to_frame() has 95 % intervals.",),
         )
 
@@ -292,8 +297,12 @@ def identify_conditions(
         conditions = {label: tuple(prepared_recordings(parts)) for label, parts in trials.items()}
     else:
         conditions = parts_by_condition(trials)
-    for part in itertools.chain(*conditions.values()):
+    for label, part in ((label, part) for label, parts in conditions.items() for part in parts):
         require_two_axes(part.recording)
+        if part.label != label:
+            raise ValueError(
+                f"identify: trials of {label!r} are of condition {part.label!r}; expected that as their key"
+            )
     conditions, remarks = used_conditions(conditions, window_start)
     for parts in conditions.values():
         for part in parts:

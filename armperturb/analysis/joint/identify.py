@@ -22,6 +22,7 @@ from armperturb.analysis.joint.prediction import FreeModel, explained, fit_free_
 from armperturb.analysis.joint.signals import SHORTEST, JointSignals, joint_signals, mean_angle
 from armperturb.analysis.joint.torque_likelihood import band_of
 from armperturb.analysis.joint.trial_differences import trial_differences
+from armperturb.analysis.joint_balance import impossible_joint
 from armperturb.analysis.results import Description, FitResult, Interval, parameter_table, quantile
 from armperturb.arrays import Array
 from armperturb.recording import check_recording, named
@@ -266,7 +267,7 @@ def identify_joint(
         at_bound=at_bound,
         converged=best.converged,
         message="converged" if best.converged else "the rounds of weighing did not settle",
-        remarks=(*left_out, *_remarks(best, signals, free, intrinsic, at_bound)),
+        remarks=(*impossible_joint(recording), *left_out, *_remarks(best, signals, free, intrinsic, at_bound)),
         label=named(recording),
         subject=str(values["subject"]),
         condition=str(values["condition"]),

@@ -9,6 +9,7 @@ from armperturb.analysis.response.closed_loop import local_fits
 from armperturb.analysis.response.joint_records import admittance_of
 from armperturb.analysis.response.spectra import LineSpectra, SpectralEstimate, averaged_spectra, line_spectra
 from armperturb.analysis.trials import ConditionTrials
+from armperturb.recording import labels_of
 
 
 def periodic_lines(
@@ -77,4 +78,5 @@ def _of_whole_records(parts: Sequence[ConditionTrials]) -> SpectralEstimate:
         total=total,
         coherence=moved / (moved + noise),
         n_averages=np.round([fit.dof for fit in fits]).astype(np.int64),
+        labels=labels_of(parts[0].recording),
     )

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 from scipy import stats
 
 from armperturb.analysis.cuts import inside_limit
+from armperturb.analysis.joint_balance import impossible_joint
 from armperturb.analysis.response.closed_loop import (
     HIGH_ORDERS,
     LEAKAGE_ORDER,
@@ -241,7 +242,7 @@ def one_axis_response(
         distortion=distortion,
         distortion_limit=limit,
         p_linear=p_linear,
-        remarks=left_out,
+        remarks=(*dict.fromkeys(wrong for each in inside for wrong in impossible_joint(each)), *left_out),
     )
 
 

@@ -12,7 +12,8 @@ sign with its opposite, and loses transposes (A.12).
 """
 
 import warnings
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,6 +27,7 @@ from armperturb.analysis.response.local_polynomial import N_INPUTS
 from armperturb.analysis.results import Description, Result, Table, plain, response_coordinates, response_frame
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array, ComplexArray
+from armperturb.recording import labels_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -49,6 +51,7 @@ class SpectralEstimate(Result):
       total: admittance P_dx from d to x [m/N], (frequency, output, input).
       coherence: multiple coherence from both disturbances to each displacement [-], (frequency, output).
       n_averages: lines times trials behind each point, (frequency,).
+      labels: condition and subject, as the last columns of tables have them.
     """
 
     frequency: Array
@@ -57,6 +60,7 @@ class SpectralEstimate(Result):
     total: ComplexArray
     coherence: Array
     n_averages: NDArray[np.int64]
+    labels: Mapping[str, str] = field(default_factory=dict)
 
     def describe(self) -> Description:
         """Gains of the arm's admittance and coherences at each frequency."""
@@ -74,9 +78,12 @@ class SpectralEstimate(Result):
         )
 
     def to_frame(self) -> "pd.DataFrame":
-        """One row per frequency, output and input of the arm's admittance, with the coherence of the output."""
+        """One row per frequency, output and input of the arm's admittance, with the coherence of the output.
+
+        The last columns are `labels`.
+        """
         frame = response_frame(self.frequency, self.arm)
-        return frame.assign(coherence=np.repeat(self.coherence.ravel(), N_INPUTS))
+        return frame.assign(coherence=np.repeat(self.coherence.ravel(), N_INPUTS), **self.labels)
 
     def to_xarray(self) -> xr.Dataset:
         """Variables `arm`, `environment`, `total` (frequency, output, input), `coherence` and `n_averages`."""
@@ -179,7 +186,7 @@ def averaged_spectra(
 ) -> SpectralEstimate:
     """Admittances and coherence over all trials; arguments and errors as `line_spectra` and `estimate_spectra`."""
     lines = line_spectra(trials, window_start=window_start, period=period)
-    return estimate_spectra(lines, lines_per_average=lines_per_average)
+    return replace(estimate_spectra(lines, lines_per_average=lines_per_average), labels=labels_of(trials.recording))
 
 
 @per_trials

@@ -32,11 +32,12 @@ from armperturb.analysis.joint.model import DYNAMICS, REFLEXES, JointStructure, 
 from armperturb.analysis.joint.prediction import explained
 from armperturb.analysis.joint.signals import TOP, JointSignals, joint_signals, mean_angle
 from armperturb.analysis.joint.torque_likelihood import BlockScore
+from armperturb.analysis.joint_balance import impossible_joint
 from armperturb.analysis.varying.likelihood import STRETCH, VaryingLikelihood
 from armperturb.analysis.varying.model import DEGREE, VaryingModel, finer
 from armperturb.analysis.varying.result import Curve, VaryingEstimate
 from armperturb.arrays import Array, Indices
-from armperturb.recording import check_recording
+from armperturb.recording import check_recording, labels_of, named
 from armperturb.validation import require_number, require_one_of
 
 Variable = Literal["time", "scheduling"]
@@ -182,6 +183,8 @@ def identify_varying(
         torque, predicted = (each - each.mean(axis=0) for each in (torque, predicted))
     held = slice(signals.angle.shape[1], every.used.stop)
     return VaryingEstimate(
+        label=named(recording),
+        labels=labels_of(recording),
         variable=variable,
         angular=recording["displacement"].attrs["units"] == "rad",
         grid=grid,
@@ -194,7 +197,7 @@ def identify_varying(
         held_out_vaf=None if fit_until is None else explained(torque[:, held], predicted[:, held]),
         n_trials=len(torque),
         n_groups=len(solution.influence),
-        remarks=left_out,
+        remarks=(*impossible_joint(recording), *left_out),
     )
 
 

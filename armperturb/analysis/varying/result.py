@@ -36,6 +36,8 @@ class VaryingEstimate(Result):
     """Parameters of one joint, or of a single direction, over time or posture.
 
     Attributes:
+      label: who, in which condition, how many trials.
+      labels: condition, subject and joint, as the last columns of tables have them.
       variable: "time" or "scheduling".
       angular: whether it is a joint, or a single direction.
       grid: where curves are given [s, or rad or m], (point,).
@@ -51,6 +53,8 @@ class VaryingEstimate(Result):
       remarks: what a reader must know before trusting the curves, a sentence each.
     """
 
+    label: str
+    labels: Mapping[str, str]
     variable: str
     angular: bool
     grid: Array
@@ -103,7 +107,9 @@ class VaryingEstimate(Result):
             for name, c in self.curves.items()
         )
         over = "time" if self.variable == "time" else "the scheduling variable"
-        what, driven, moved = ("joint", "torque", "angle") if self.angular else ("direction", "force", "displacement")
+        what, driven, moved = (
+            ("Joint", "torque", "angle") if self.angular else ("One direction", "force", "displacement")
+        )
         facts = [
             sentence_of(self.tried),
             f"inertia {self.inertia:.4g} +/- {self.inertia_error:.2g} {self.unit_of('inertia')}; the model explains "
@@ -117,21 +123,23 @@ class VaryingEstimate(Result):
         if self.held_out_vaf is not None:
             facts.append(f"held out, simulated from the {moved} alone: {self.held_out_vaf:.1f} % of the {driven}")
         return Description(
-            title=f"One {what} over {over}, {self.n_trials} trial(s)",
+            title=f"{what} of {self.label}"
+            + (f" ({joint})" if (joint := self.labels["joint"]) else "")
+            + f", over {over}",
             facts=tuple(facts),
             table=Table(("quantity", "least", "greatest", "standard error", "splines"), rows),
             remarks=self.remarks,
         )
 
     def to_frame(self) -> pd.DataFrame:
-        """One row per point and quantity: value, standard error and 95 % band."""
+        """One row per point and quantity: value, standard error and 95 % band. The last columns are `labels`."""
         frames = []
         for name, curve in self.curves.items():
             lower, upper = self.interval(name)
             columns = {"quantity": name, self.variable: self.grid, "value": curve.value}
             columns |= {"standard_error": curve.standard_error, "lower_95": lower, "upper_95": upper}
             frames.append(pd.DataFrame({**columns, "unit": self.unit_of(name)}))
-        return pd.concat(frames, ignore_index=True)
+        return pd.concat(frames, ignore_index=True).assign(**self.labels)
 
     def to_xarray(self) -> xr.Dataset:
         """Curves and their standard errors along `variable`."""

@@ -1,5 +1,6 @@
 """The one-joint laboratory: a joint moved by a position servo, or perturbed against a virtual environment."""
 
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -24,6 +25,10 @@ from armperturb.validation import as_list_of, require_number, require_type
 
 LARGEST_ANGLE = 3.0
 """Angle from the posture beyond which a simulation counts as diverged [rad]."""
+
+STIFF, DAMPED = 0.25, 0.8
+"""Natural frequency, and damping over inertia, of limb and device, over the rate of the steps up to which the recorded
+damping is right to 0.5 % [-]: torques are held over a step, in which a faster device moves."""
 
 WIDTH = 2
 """Steps on either side of the difference that gives the acceleration."""
@@ -108,7 +113,8 @@ def run_joint_experiment(
 
     Raises:
       TypeError: a trial is no `JointTrial`, or servo no `Servo`.
-      ValueError: no trials, trials of several joints or lengths, a delay below two steps, or rates that do not fit.
+      ValueError: no trials, trials of several joints or lengths, a delay below two steps, rates that do not fit, or
+        steps too long for the servo.
       RuntimeError: a joint diverged, as with too much feedback.
     """
     owner = "run_joint_experiment"
@@ -126,6 +132,7 @@ def run_joint_experiment(
             raise ValueError(
                 f"JointPerson: delay = {trial.person.delay:g} s; expected at least two steps of {timestep:g} s"
             )
+        _require_short_steps(trial.person.inertia + servo.inertia, servo, rate, timestep)
     logs = list(
         in_threads(
             lambda i: _simulate(trials[i], servo, rate, timestep, decimation),
@@ -157,6 +164,18 @@ def run_joint_experiment(
         joint=trials[0].person.joint,
         angular=True,
     )
+
+
+def _require_short_steps(inertia: float, servo: Servo, rate: float, timestep: float) -> None:
+    """Refuse steps in which a device moves on the limb, both of this inertia [kg m^2]."""
+    fastest = max((servo.stiffness / inertia) ** 0.5 / STIFF, servo.damping / inertia / DAMPED)
+    if timestep * fastest > 1.0:
+        longest = 1.0 / (rate * math.ceil(fastest / rate))
+        raise ValueError(
+            f"run_joint_experiment: timestep = {timestep:g} s; expected at most {longest:g} s with a servo of "
+            f"{servo.stiffness:g} Nm/rad and {servo.damping:g} Nms/rad on {inertia:.3g} kg m^2: torques are held over "
+            "a step"
+        )
 
 
 def at_signal_to_noise(

@@ -81,6 +81,7 @@ class Likeness(Result):
       table: group, quantity, unit, value, people's mean and SD, the distance in SDs, condition and subject.
       distance: group to the root mean square of its quantities' distances [SD].
       usual: group to the distance from the others within which 95 % of the people lie [SD].
+      remarks: on what the recording's signals show, as those of `response`.
     """
 
     label: str
@@ -92,6 +93,7 @@ class Likeness(Result):
     table: pd.DataFrame
     distance: Mapping[str, float]
     usual: Mapping[str, float]
+    remarks: tuple[str, ...] = ()
 
     def describe(self) -> Description:
         """Distances of admittance, ellipses and parameters."""
@@ -110,6 +112,7 @@ class Likeness(Result):
             title=f"{self.label} beside {len(self.reference_gains)} {who} ({self.task})",
             facts=tuple(facts),
             table=Table(("quantity", "arm", "people", "SD", "unit", "distance [SD]"), tuple(rows)),
+            remarks=self.remarks,
         )
 
     def is_human(self, group: str) -> bool:
@@ -121,10 +124,17 @@ class Likeness(Result):
         return self.table.copy()
 
     @in_style()
-    def plot(self, figure: "Figure | None" = None) -> "Figure":
-        """Both gains of the admittance, with those of people as bands of two standard deviations."""
-        figure = figure_for(figure, 2.8)
-        for k, ax in enumerate(figure.subplots(1, 2, sharey=True)):
+    def plot(self, figure: "Figure | None" = None) -> Any:
+        """Draw both gains of the admittance, with those of people as bands of two standard deviations.
+
+        Args:
+          figure: where to draw; its height is set. None makes a new one of pyplot.
+
+        Returns:
+          Matplotlib axes, (2,): of the larger and of the smaller gain.
+        """
+        axes = figure_for(figure, 2.8).subplots(1, 2, sharey=True)
+        for k, ax in enumerate(axes):
             logs = np.log(self.reference_gains[..., k])
             mean, sd = logs.mean(axis=0), logs.std(axis=0, ddof=1)
             ax.fill_between(self.frequency, *1e3 * np.exp([mean - 2 * sd, mean + 2 * sd]), color=PALE, label="2 SD")
@@ -135,7 +145,7 @@ class Likeness(Result):
             if not k:
                 ax.set_ylabel("admittance [mm/N]")
                 ax.legend()
-        return figure
+        return axes
 
 
 def compare(
@@ -193,6 +203,7 @@ def compare(
         table=table.assign(**labels_of(first)),
         distance={str(name): value for name, value in _distances(table).items()},
         usual=_usual(each),
+        remarks=estimate.remarks,
     )
 
 

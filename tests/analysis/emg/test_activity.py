@@ -75,6 +75,7 @@ def test_holm_is_that_of_the_textbook():
 def test_a_result_describes_itself():
     result, _ = person(0.2)
     assert "RT7.5      during             all" in result.summary()
+    assert result.to_frame().iloc[-1, -2:].to_dict() == {"condition": "RT7.5", "subject": "A"}
     assert len(result.plot()) == 2
 
 

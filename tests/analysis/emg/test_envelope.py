@@ -8,6 +8,8 @@ from scipy import signal
 from armperturb.analysis.emg import whitening
 from armperturb.analysis.emg.channels import hum_lines
 from armperturb.analysis.emg.envelope import envelopes
+from armperturb.analysis.emg.matching import rows_of
+from armperturb.analysis.trials import prepared
 from armperturb.recording import Action
 
 N = 20_000
@@ -209,6 +211,7 @@ def low_passed(emg, cutoff):
     [
         (lambda r: r.drop_vars(["emg"]), "EMG is missing: the recording has no variable 'emg'"),
         (lambda r: r.assign_attrs(emg_rate=1000.0), "it lasts 20 s at emg_rate = 1000 Hz, the other signals 10 s"),
+        (lambda r: r.sel(time=slice(0, 5)), r"is cut, recording\.sel\(emg_time=slice\(0, 5\.005\)\) as well"),
         (lambda r: r.assign(emg=r["emg"] * 0.0), "all channels are zero; expected voltages"),
         (lambda r: r.assign(emg=abs(r["emg"])), "that of flexor, extensor is nowhere below zero, as if rectified"),
         (lambda r: r.assign(emg=low_passed(abs(r["emg"]), 6.0)), "that of flexor, extensor is nowhere below zero"),
@@ -232,6 +235,8 @@ def test_an_offset_of_the_amplifier_is_no_rectification(modulated):
 def test_a_result_describes_itself_and_becomes_tables(modulated):
     result = envelopes(modulated)
     assert "EMG of A: 2 muscles in 11 trials" in result.summary()
+    assert result.to_frame().columns[-2:].tolist() == ["condition", "subject"]
+    assert set(result.to_frame()["subject"]) == {"A"}
     assert result.to_xarray()["amplitude"].shape == (11, 2000, 2)
     assert len(result.plot()) == 1
 
@@ -278,7 +283,28 @@ def test_emg_of_two_people_and_of_another_person_is_refused():
     two = recording.assign_coords(subject=("trial", ["A", "B"]))
     with pytest.raises(ValueError, match=r"envelopes: EMG of A, B; expected one person's"):
         envelopes(two)
-    amplitudes = envelopes(recording)
-    assert amplitudes.rows("A", "RT7.5", 2).tolist() == [0, 1]
+    somebody_else = recording.assign_coords(subject=("trial", ["B", "B"]))
     with pytest.raises(ValueError, match=r"it is A's, the other signals B's"):
-        amplitudes.rows("B", "RT7.5", 2)
+        rows_of(prepared(somebody_else), envelopes(recording))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda r: r.isel(trial=[2, 1, 0]), r"repetition of trial 0 of RT7\.5 is 0 in the envelopes, 2 in the other"),
+        (
+            lambda r: r.assign_coords(pulse_direction=("trial", [20.0, 20.0, 20.0])),
+            r"pulse_direction of trial 1 of RT7\.5 is nan in the envelopes, 20 in the other signals",
+        ),
+        (lambda r: r.isel(trial=[0, 2]), r"3 trials of RT7\.5, the other signals 2; expected the same trials in the"),
+    ],
+)
+def test_emg_of_other_trials_of_the_condition_is_refused(change, said):
+    recording = recorded(noise((3, 2, 20_000)), repetition=[0, 1, 2], pulse_direction=[20.0, np.nan, 20.0])
+    amplitudes, other = envelopes(recording), change(recording)
+    assert rows_of(prepared(recording).take([2, 0]), amplitudes).tolist() == [2, 0]
+    with pytest.raises(ValueError, match=said):
+        rows_of(prepared(other), amplitudes)
+    assert len(rows_of(prepared(other), envelopes(other))) == other.sizes["trial"]
+    numbered = recording.assign_coords(condition=("trial", [7.5] * 3), subject=("trial", [1] * 3))
+    assert rows_of(prepared(numbered), envelopes(numbered)).tolist() == [0, 1, 2]

@@ -100,4 +100,5 @@ def test_a_result_describes_and_draws_itself():
     result, _ = answers(person(0))
     assert "Answers of the muscles of A to pulses in RT7.5" in result.summary()
     assert "extensor" in result.summary()
+    assert result.to_frame().iloc[0, -2:].to_dict() == {"condition": "RT7.5", "subject": "A"}
     assert result.plot().shape == (2, 1)

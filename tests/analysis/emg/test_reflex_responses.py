@@ -219,6 +219,7 @@ def test_trials_that_are_too_short_are_named(recording):
 
 def test_a_result_describes_itself(result):
     assert "Reflexes of A in RT7.5" in result.summary()
+    assert result.to_frame().iloc[0, -2:].to_dict() == {"condition": "RT7.5", "subject": "A"}
     assert result.to_xarray()["response"].shape == (2, 2, len(result.frequency))
     assert result.plot().shape == (3, 2)
 

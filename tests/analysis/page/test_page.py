@@ -62,8 +62,13 @@ def silent_muscles():
     volts = np.append(np.full(6, 0.1), 1.0)[:, None, None] * noise((7, 2, 40_000))
     volts[-1, :, :2000] *= 0.01
     conditions = ["multisine"] * 3 + ["pulsed"] * 3 + ["MVC"]
-    pulses = [math.nan] * 3 + [17.0] * 3 + [math.nan], [math.nan] * 3 + [20.0, 200.0, 20.0] + [math.nan]
-    return recorded(volts, conditions, subject=[NAME] * 7, pulse_onset=pulses[0], pulse_direction=pulses[1])
+    pulses = {
+        "repetition": [*range(3), *range(3), 0],
+        "pulse_level": [0.0] * 3 + [1.0] * 3 + [0.0],
+        "pulse_onset": [math.nan] * 3 + [17.0] * 3 + [math.nan],
+        "pulse_direction": [math.nan] * 3 + [20.0, 200.0, 20.0] + [math.nan],
+    }
+    return recorded(volts, conditions, subject=[NAME] * 7, **pulses)
 
 
 @pytest.fixture(scope="module")

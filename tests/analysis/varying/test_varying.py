@@ -1,5 +1,6 @@
 """Parameters that change: known courses are estimated from numbers made without the simulator, and bad input."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -100,6 +101,8 @@ def test_stiffness_over_time_is_estimated_with_bands_and_constants_stay_constant
     assert estimate.curves["damping"].value.mean() == pytest.approx(DAMPING, rel=0.05)
     assert set(estimate.to_xarray()) == {"stiffness", "stiffness_error", "damping", "damping_error"}
     assert len(estimate.to_frame()) == 2 * 150
+    assert estimate.to_frame().iloc[0, -3:].to_dict() == {"condition": "PT", "subject": "A", "joint": "ankle"}
+    assert re.match(r"Joint of A, PT, \d+ trials \(ankle\), over time", estimate.summary())
     assert len(repr(estimate).splitlines()) <= 25
     assert len(estimate.plot()) == 2
 

@@ -12,7 +12,7 @@ from armperturb.analysis.joint.signals import TOP, joint_signals
 from armperturb.analysis.varying.estimate import FASTEST
 from armperturb.anthropometry import anthropometric_body
 from armperturb.envs.lab.joint_experiment import JointTrial, at_signal_to_noise, run_joint_experiment
-from armperturb.joint_person import JOINT_PEOPLE, JointPerson, half_wave, servo_of
+from armperturb.joint_person import JOINT_PEOPLE, JointPerson, Servo, half_wave, servo_of
 from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations.one_axis import imposed_movement, random_noise, random_steps
 from armperturb.recording_files import load_recording, save_recording
@@ -190,6 +190,11 @@ def test_bad_input_is_refused():
         run_joint_experiment([JointTrial(person=ANKLE, perturbation=still)], servo, rate=900.0)
     with pytest.raises(ValueError, match=r"delay = 0\.0004 s; expected at least two steps"):
         run_joint_experiment([JointTrial(person=replace(ANKLE, delay=4e-4), perturbation=still)], servo)
+    trials = [JointTrial(person=ANKLE, perturbation=still)]
+    stiff = Servo(kind="position", inertia=0.05, damping=200.0, stiffness=50000.0)
+    with pytest.raises(ValueError, match=r"timestep = 0\.0005 s; expected at most 0\.00025 s with a servo of 50000 "):
+        run_joint_experiment(trials, stiff)
+    assert run_joint_experiment(trials, stiff, timestep=0.00025).sizes["time"] == 100
     with pytest.raises(ValueError, match=r"JointPerson: inertia = 0\.0; expected a finite number above 0"):
         replace(ANKLE, inertia=0.0)
     with pytest.raises(ValueError, match="kind = 'hand'; expected one of"):

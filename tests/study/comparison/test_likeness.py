@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import armperturb as ap
 from armperturb.study.comparison.likeness import impedance_matrices
@@ -38,7 +39,16 @@ def test_a_person_is_human_and_an_arm_of_iron_is_not():
         assert "not as people's" in repr(told_apart)
         assert set(told_apart.to_frame()["group"]) == {"admittance", "ellipses", "parameters"}
         assert [set(told_apart.to_frame()[name]) for name in ("condition", "subject")] == [{"PT"}, {"position"}]
-        assert len(told_apart.plot().axes) == 2
+        assert len(told_apart.plot()) == 2
+
+
+def test_signs_that_no_handle_has_are_remarked_on():
+    recording = linear_trial(ap.POSITION)
+    likeness = ap.compare(recording, "thesis", ideal=True)
+    assert likeness.remarks == ()
+    assert [ax.get_title() for ax in ap.plot(likeness, figure=Figure())] == ["largest gain", "smallest gain"]
+    turned = ap.compare(recording.assign(force=-recording["force"]), "thesis", ideal=True)
+    assert "as it would if the sign of force were turned" in turned.summary()
 
 
 @pytest.mark.slow(reason="draws people and simulates two trials of each")

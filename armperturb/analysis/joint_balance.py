@@ -5,6 +5,7 @@ Where the movement stays below the joint's natural frequency, stiffness makes mo
 may look like inertia of either sign. On a force servo d - f must move the virtual environment besides, as in `balance`.
 """
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -14,8 +15,22 @@ from scipy import fft, signal
 from armperturb.analysis.cuts import before_limit
 from armperturb.analysis.force_balance import EDGE
 from armperturb.arrays import Array
-from armperturb.convert.checks import DEGREES, LARGEST_ANGLE
-from armperturb.convert.tables import TABLES
+
+DEGREES = 180.0 / np.pi
+"""In a radian; factor by which an inertia is too small where an angle in degrees is declared in radians [-]."""
+
+LARGEST_ANGLE = 2 * np.pi
+"""Of any joint [rad]."""
+
+INERTIAS: Mapping[str, tuple[float, float]] = {
+    "ankle": (0.002, 0.4),
+    "wrist": (0.0005, 0.1),
+    "elbow": (0.01, 2.0),
+    "knee": (0.03, 6.0),
+    "any": (0.0002, 10.0),
+    "mass": (0.05, 100.0),
+}
+"""Joint to the least and greatest inertia of limb and device [kg m^2]; masses of a single direction [kg]."""
 
 BAND = (1.0, 30.0)
 """Frequencies of the regression [Hz]."""
@@ -83,7 +98,7 @@ def check_joint(recording: xr.Dataset, mass: float | None = None, source: str = 
     """Refuse a recording of one axis whose signals do not belong together.
 
     Args:
-      recording: the trials. Those that reached the workspace limit count only if there are no others, up to the limit.
+      recording: the trials, see `wrong_joint`.
       mass: inertia that a force servo was set to [kg m^2, or kg]; None if unknown.
       source: where the recording comes from, for the message.
 
@@ -93,47 +108,68 @@ def check_joint(recording: xr.Dataset, mass: float | None = None, source: str = 
     Raises:
       ValueError: the limb's inertia is negative or not a joint's, or d - f does not move a virtual environment.
     """
+    wrong, notes = wrong_joint(recording, mass)
+    if wrong:
+        raise ValueError(f"{source}: {wrong}")
+    return notes
+
+
+def impossible_joint(recording: xr.Dataset) -> tuple[str, ...]:
+    """What of the signals no joint can show, as a remark: signs or units; mostly nothing."""
+    wrong, _ = wrong_joint(recording)
+    return (wrong,) if wrong else ()
+
+
+def wrong_joint(recording: xr.Dataset, mass: float | None = None) -> tuple[str, list[str]]:
+    """What is wrong with the signals of one axis.
+
+    Args:
+      recording: the trials. Those that reached the workspace limit count only if there are no others, up to the limit.
+      mass: inertia that a force servo was set to [kg m^2, or kg]; None if unknown.
+
+    Returns:
+      What is wrong and what was expected, without full stop, empty if nothing is; and notes, one sentence each.
+    """
     rate, angular = float(recording.attrs["rate"]), recording["displacement"].attrs["units"] == "rad"
     x, f = _signals(recording, "displacement", "force")
     unit = "kg m^2" if angular else "kg"
     limb = _regression(f, x, rate)
     if limb is None:
-        _require_angles(recording, source)
-        return [f"{x.shape[1] / rate:.3g} s at {rate:g} Hz are too short, or too slow, to show an inertia: unchecked"]
+        short = f"{x.shape[1] / rate:.3g} s at {rate:g} Hz are too short, or too slow, to show an inertia: unchecked"
+        return _large_angle(recording), [short]
     if recording.attrs["servo"] == "force":
         (d,) = _signals(recording, "perturbation")
-        _require_environment(d - f, x, rate, mass, unit, source)
+        if wrong := _wrong_environment(d - f, x, rate, mass, unit):
+            return wrong, []
     if limb.is_sine:
-        _require_angles(recording, source)
-        return ["the movement is nearly a sine, which does not show inertia: signs and units are unchecked"]
+        sine = "the movement is nearly a sine, which does not show inertia: signs and units are unchecked"
+        return _large_angle(recording), [sine]
     if not limb.shows_inertia:
-        _require_angles(recording, source)
-        return ["the movement is too slow to show an inertia: signs and units are unchecked"]
+        slow = "the movement is too slow to show an inertia: signs and units are unchecked"
+        return _large_angle(recording), [slow]
     if limb.contradicts:
-        _require_angles(recording, source)
         per = "Nm/rad" if angular else "N/m"
         turned = " (that of a joint is positive: signals.force.exerted_by the other?)" * (limb.stiffness < 0.0)
-        return [
+        return _large_angle(recording), [
             f"the movement is too slow to show the sign of force: inertia comes out at {limb.inertia:.3g} {unit} and "
             f"stiffness at {limb.stiffness:.3g} {per}{turned}, as reflexes can make them below the joint's natural "
             "frequency: signs and units are unchecked"
         ]
-    joint = recording.attrs.get("joint")
-    lower, upper = TABLES["inertias"].get(joint if angular else "mass") or TABLES["inertias"]["any"]
-    shown = f"{source}: the limb's inertia comes out at {limb.inertia:.3g} {unit}"
-    of_joint = f" of the {joint}" if joint in TABLES["inertias"] else ""
+    joint = recording.attrs.get("joint", "any")
+    lower, upper = INERTIAS.get(joint if angular else "mass", INERTIAS["any"])
+    shown = f"the limb's inertia comes out at {limb.inertia:.3g} {unit}"
+    of_joint = f" of the {joint}" if joint in INERTIAS and joint != "any" else ""
     expected = f"expected {lower:g} to {upper:g} {unit}{of_joint}"
     if limb.inertia < 0.0:
-        raise ValueError(
-            f"{shown}; {expected}, as it would if the sign of force were turned (signals.force.exerted_by: the other "
-            "of handle and hand)"
-        )
+        return (
+            f"{shown}; {expected}, as it would if the sign of force were turned (signals.force.exerted_by of the "
+            "sidecar: the other of handle and hand)"
+        ), []
     if not lower <= limb.inertia <= upper:
         is_degrees = angular and limb.inertia < lower and lower <= limb.inertia * DEGREES <= upper
         remedy = "an angle in degrees declared rad?" if is_degrees else "a wrong unit of displacement or force?"
-        raise ValueError(f"{shown}; {expected} ({remedy} signals.displacement.unit)")
-    _require_angles(recording, source)
-    return []
+        return f"{shown}; {expected} ({remedy} signals.displacement.unit)", []
+    return _large_angle(recording), []
 
 
 def _signals(recording: xr.Dataset, *names: str) -> tuple[Array, ...]:
@@ -142,31 +178,34 @@ def _signals(recording: xr.Dataset, *names: str) -> tuple[Array, ...]:
     return tuple(recording[name].values[trials, :n_time, 0] for name in names)
 
 
-def _require_angles(recording: xr.Dataset, source: str) -> None:
+def _large_angle(recording: xr.Dataset) -> str:
+    """What is wrong with angles that no joint has; empty if nothing is."""
     largest = float(np.abs(recording["displacement"].values).max())
-    if recording["displacement"].attrs["units"] == "rad" and largest > LARGEST_ANGLE:
-        raise ValueError(
-            f"{source}: displacement is {largest:.4g} rad; expected at most {LARGEST_ANGLE:.4g} (an angle in degrees "
-            "declared rad? signals.displacement.unit)"
-        )
+    if recording["displacement"].attrs["units"] != "rad" or largest <= LARGEST_ANGLE:
+        return ""
+    return (
+        f"displacement is {largest:.4g} rad; expected at most {LARGEST_ANGLE:.4g} (an angle in degrees declared rad? "
+        "signals.displacement.unit)"
+    )
 
 
-def _require_environment(load: Array, x: Array, rate: float, mass: float | None, unit: str, source: str) -> None:
-    """Refuse a force servo whose d - f does not move a positive inertia."""
+def _wrong_environment(load: Array, x: Array, rate: float, mass: float | None, unit: str) -> str:
+    """What is wrong with a force servo whose d - f does not move a positive inertia; empty if it does."""
     moved = _regression(load, x, rate)
     if moved is None:
-        return
+        return ""
     what = f"its inertia comes out at {moved.inertia:.3g} {unit}, and {moved.left:.2g} of the load is left unexplained"
     if moved.left > TOO_MUCH or (moved.inertia <= 0.0 and not moved.is_sine):
-        raise ValueError(
-            f"{source}: d - f does not move an inertia, damper and spring ({what}); expected the perturbation of a "
-            "virtual environment (servo = position for an imposed movement; signals.force.exerted_by the other?)"
+        return (
+            f"d - f does not move an inertia, damper and spring ({what}); expected the perturbation of a virtual "
+            "environment (servo = position for an imposed movement; signals.force.exerted_by the other?)"
         )
     if mass is not None and not moved.is_sine and not mass / 1.5 <= moved.inertia <= 1.5 * mass:
-        raise ValueError(
-            f"{source}: d - f moves an inertia of {moved.inertia:.4g} {unit}; expected {mass:.4g} {unit} as "
-            "environment.m_env of the sidecar says (a wrong unit of displacement, or of both forces?)"
+        return (
+            f"d - f moves an inertia of {moved.inertia:.4g} {unit}; expected {mass:.4g} {unit} as environment.m_env of "
+            "the sidecar says (a wrong unit of displacement, or of both forces?)"
         )
+    return ""
 
 
 def _regression(load: Array, x: Array, rate: float) -> Regression | None:
