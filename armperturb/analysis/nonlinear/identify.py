@@ -23,7 +23,13 @@ from armperturb.analysis.nonlinear.estimate import (
     require_draws,
 )
 from armperturb.analysis.nonlinear.model import FIXED, Law, Model
-from armperturb.analysis.nonlinear.prediction import PulsePrediction, facts_of, predict_pulses, predict_pulses_linearly
+from armperturb.analysis.nonlinear.prediction import (
+    PulsePrediction,
+    facts_of,
+    predict_pulses,
+    predict_pulses_linearly,
+    remarks_on_peaks,
+)
 from armperturb.analysis.nonlinear.result import NonlinearEstimate
 from armperturb.analysis.nonlinear.spindle_emg import usable_emg
 from armperturb.analysis.nonlinear.start import linear_arms
@@ -201,7 +207,6 @@ def identify_nonlinear(
         remarks.append(
             "EMG is not used: the relaxed arm has no reflexes, of which it tells; the movement alone is used"
         )
-    estimate = replace(estimate, remarks=(*remarks, *estimate.remarks))
     pulses: dict[str, list[PulsePrediction]] = {"nonlinear": [], "linear": [], "skeletal": []}
     everywhere = nearest_arms(list(sets.values()), arms)
     for trials in left_out:
@@ -209,8 +214,9 @@ def identify_nonlinear(
         pulses["nonlinear"] += predict_pulses(trials, estimate.subject(trials.body.task, trials.label))
         pulses["linear"] += predict_pulses_linearly(trials, arm)
         pulses["skeletal"] += predict_pulses(trials, arm)
+    remarks += remarks_on_peaks(pulses["nonlinear"])
     return NonlinearIdentification(
-        estimate=estimate,
+        estimate=replace(estimate, remarks=(*remarks, *estimate.remarks)),
         choice=choice,
         arms=arms,
         pulses={model: tuple(predicted) for model, predicted in pulses.items()},
