@@ -34,8 +34,9 @@ from armperturb.analysis.nonlinear.result import NonlinearEstimate
 from armperturb.analysis.nonlinear.spindle_emg import usable_emg
 from armperturb.analysis.nonlinear.start import linear_arms
 from armperturb.analysis.nonlinear.trials import cut_remarks, fitted_conditions, training_sets
+from armperturb.analysis.pulses_alone import PULSES_ALONE
 from armperturb.analysis.results import Description, Result
-from armperturb.analysis.trials import ConditionTrials
+from armperturb.analysis.trials import OTHERS, ConditionTrials
 from armperturb.muscle_law import MuscleLaw
 from armperturb.planar_arm.simulation import load_compiled_arm
 from armperturb.recording import check_recording
@@ -181,6 +182,14 @@ def identify_nonlinear(
         )
     directions = list(pulse_directions_deg)
     sets = fitted_conditions(recording)
+    are_alone = bool(np.isfinite(recording["pulse_onset"]).any()) and not any(
+        (trials.onset < trials.n_samples).any() for trials in sets.values()
+    )
+    if are_alone and directions:
+        raise ValueError(
+            "pulses: nothing but pulses perturbs these trials, and all of them are fitted; expected no directions "
+            f"({OTHERS})"
+        )
     recorded = {float(deg) for trials in sets.values() for deg in trials.direction_deg if not np.isnan(deg)}
     for wanted in directions:
         if not any(math.isclose(wanted, deg) for deg in recorded):
@@ -202,7 +211,7 @@ def identify_nonlinear(
     else:
         model = Model(law=law, free=freed, parts=parts)
         estimate = fit(fitted, arms, model, emg=used, checkpoint=folder and folder / "checkpoint.json.gz", **options)
-    remarks = _of_trials(sets, fitted, arms, freed)
+    remarks = [*_of_trials(sets, fitted, arms, freed), *([PULSES_ALONE] if are_alone else [])]
     if emg and not used:
         remarks.append(
             "EMG is not used: the relaxed arm has no reflexes, of which it tells; the movement alone is used"
