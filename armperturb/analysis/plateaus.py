@@ -14,6 +14,9 @@ STEEP = 0.3
 BEYOND = 3.0
 """Extrapolated height above a plateau that counts as clipping, in resolutions of the channel [-]."""
 
+LEVELS = 20
+"""Levels from which on a channel is one that was rounded, and no square wave."""
+
 LEVEL = 0.05
 """Share of the samples that are not zero which one level of a square wave has at least [-]."""
 
@@ -60,13 +63,21 @@ def _is_square(values: Array) -> bool:
 def _plateaus(values: Array) -> list[tuple[int, int]]:
     top = float(values.max())
     steps = np.abs(np.diff(values))
-    moving = steps[steps > 0.0]
-    resolution, usual = float(moving.min()), float(np.sqrt(np.mean(steps**2)))
+    moving, still = steps[steps > 0.0], len(runs(steps == 0.0))
+    # As often as a coarse channel stands still, it moves by a single level; two encoders make smaller steps as well.
+    level, middle = np.quantile(moving, [still / (still + len(moving)), 0.5])
+    usual = float(np.sqrt(np.mean(steps**2)))
     plateaus = []
     for first, last in runs(values == top):
         if last - first < LEAST_RUN or first < 2 or last > len(values) - 2:
             continue
-        slope = min(top - values[first - 2], top - values[last + 1]) / 2.0
+        last_step, last_two = top - values[[first - 1, last]], top - values[[first - 2, last + 1]]
+        # A fine channel rises less by its last step to a limit than by the step before, a coarse channel by a level.
+        resolution = max(level, min(middle, (2.0 * last_step - last_two).max()))
+        # Two samples tell no slope of a staircase whose stairs are longer.
+        is_stair = last_two.min() <= BEYOND * level and np.ptp(values) > LEVELS * level
+        reach = max(2, min((last - first) // 8, first, len(values) - last)) if is_stair else 2
+        slope = min(top - values[first - reach], top - values[last + reach - 1]) / reach
         # A peak that is rounded to the resolution rises by less than that within its plateau.
         if slope > STEEP * usual and 0.25 * slope * (last - first) > BEYOND * resolution:
             plateaus.append((first, last))

@@ -10,10 +10,12 @@ A trial is used up to its pulse; `cuts` says where that is.
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import combinations
 from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
 import xarray as xr
+from scipy import fft
 
 from armperturb.analysis.cuts import limit_samples, of_condition, one_condition, onset_samples
 from armperturb.analysis.defaults import SETTLED
@@ -36,7 +38,7 @@ OTHERS = "in Python, recording.isel(trial=[...]) takes the other trials"
 """How a trial is left out, for messages."""
 
 ALIKE = 0.9
-"""Correlation from which on two perturbations are the same one [-]."""
+"""Correlation, at the best lag, from which on two perturbations are the same one [-]."""
 
 
 class TrialRecord(NamedTuple):
@@ -96,12 +98,15 @@ class ConditionTrials:
 
     @cached_property
     def are_independent(self) -> bool:
-        """Whether every trial has a perturbation of its own, no other's one scaled or turned round."""
-        perturbation = self.recording["perturbation"].values[:, : self.last]
-        signals = (perturbation - perturbation.mean(axis=1, keepdims=True)).reshape(len(self.numbers), -1)
-        size = np.linalg.norm(signals, axis=1)
-        alike = np.abs(np.triu(signals @ signals.T, 1)) > ALIKE * np.outer(size, size)
-        return bool((size > 0.0).all() and not alike.any())
+        """Whether every trial has a perturbation of its own, no other's one scaled, turned round or at another time."""
+        parts = (d[: max(end, 1)][: self.last] for d, end in zip(self.perturbation, self.onset, strict=True))
+        signals = [part - part.mean(axis=0) for part in parts]
+        size, padded = [np.linalg.norm(each) for each in signals], fft.next_fast_len(2 * self.n_samples, real=True)
+        spectra = [fft.rfft(each, padded, axis=0) for each in signals]
+        return all(size) and not any(
+            np.abs(fft.irfft(np.sum(spectra[i].conj() * spectra[j], axis=1), padded)).max() > ALIKE * size[i] * size[j]
+            for i, j in combinations(range(self.n_trials), 2)
+        )
 
     @cached_property
     def body(self) -> Subject:

@@ -50,6 +50,7 @@ class Response(Command):
 
     def run(self) -> list[str]:
         """Estimate the response and write it."""
+        from armperturb.analysis.pulses_alone import used_whole
         from armperturb.analysis.response.best_linear import best_linear
         from armperturb.analysis.response.estimate import response
         from armperturb.analysis.trials import common_period, prepared_recordings
@@ -70,7 +71,7 @@ class Response(Command):
         distortion = None
         try:
             MemoryPerSample(longest=0, all=1000).require(recordings)
-            trials = prepared_recordings(recordings)
+            trials = used_whole(prepared_recordings(recordings))
             if method == "multisine":
                 if self.period is None:
                     options["period"] = common_period(trials, options.get("window_start", SETTLED))

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from armperturb.commands.command import Command
+from armperturb.environment import TIMESTEP
 from armperturb.files import checksum, require_new
 
 if TYPE_CHECKING:
@@ -16,9 +17,12 @@ if TYPE_CHECKING:
 
 OF_A_MODEL = (
     *("hand", "activation", "reflex", "posture_deg", "keyframe", "lock", "joints", "handle", "turn_deg", "gravity"),
-    *("task", "timestep"),
+    "task",
 )
 """Options that go with --mjcf only."""
+
+ELBOW = (0.0, 150.0)
+"""Angles between which a person's elbow bends, straight at zero [deg]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +42,9 @@ class Simulate(Command):
     rope: Literal["ideal", "pendulum"] = "ideal"
     """Whether the rope that carries the arm pulls it back like a pendulum."""
     rate: float = 200.0
-    """Sampling rate of the recording [Hz]."""
+    """Sampling rate of the recording [Hz]; a sample has to be a whole number of steps of the simulation."""
+    timestep: float = TIMESTEP
+    """Step of the simulation [s]; a fast perturbation, or a high rate, needs a short step."""
     seed: int = 0
     """Seed of the instruments' noise."""
     mjcf: Path | None = None
@@ -66,8 +72,6 @@ class Simulate(Command):
     """Let weights act; by default a rope carries the arm."""
     task: Literal["PT", "RT"] = "PT"
     """Task that the recording names."""
-    timestep: float | None = None
-    """Of the simulation [s]."""
     checksum: bool = False
     """Print the SHA-256 of the recording, in a line as `sha256sum -c` reads it."""
     overwrite: bool = False
@@ -128,18 +132,28 @@ class Simulate(Command):
     def _of_subject(
         self, perturbation: "Perturbation", instruments: "Instruments | None"
     ) -> tuple["xr.Dataset", list[str]]:
+        import numpy as np
+
         from armperturb.envs.lab.experiment import run_experiment
         from armperturb.envs.lab.trial import Trial
         from armperturb.subject import Subject
 
         assert self.subject is not None
         trial = Trial(subject=Subject.load(self.subject), perturbation=perturbation, seed=self.seed)
-        return run_experiment([trial], rate=self.rate, rope=self.rope, instruments=instruments), []
+        recording = run_experiment(
+            [trial], timestep=self.timestep, rate=self.rate, rope=self.rope, instruments=instruments
+        )
+        low, high = np.degrees(recording["joint_angle"].sel(joint="elbow").quantile([0.0, 1.0]).values).tolist()
+        if ELBOW[0] <= low and high <= ELBOW[1]:
+            return recording, []
+        return recording, [
+            f"the elbow was bent from {low:.1f} to {high:.1f} deg, where a person's moves from {ELBOW[0]:g} to about "
+            f"{ELBOW[1]:g} deg; joints of synthetic people have no limits"
+        ]
 
     def _of_model(
         self, perturbation: "Perturbation", instruments: "Instruments | None"
     ) -> tuple["xr.Dataset", list[str]]:
-        from armperturb.environment import TIMESTEP
         from armperturb.envs.lab.laboratory import Laboratory
         from armperturb.envs.lab.stretch_reflex import StretchReflex
 
@@ -161,7 +175,7 @@ class Simulate(Command):
             handle=self.handle,
             turn_deg=self.turn_deg,
             gravity=self.gravity,
-            timestep=TIMESTEP if self.timestep is None else self.timestep,
+            timestep=self.timestep,
         )
         recording = laboratory.record(
             [perturbation], task=self.task, seed=self.seed, rate=self.rate, instruments=instruments

@@ -64,9 +64,11 @@ def check_bandwidth(perturbation: Perturbation, simulation_rate: float) -> None:
     require_number("check_bandwidth", "simulation_rate", simulation_rate, above=0.0)
     limit = BANDWIDTH_SHARE * simulation_rate
     if perturbation.highest_frequency > limit:
+        shorter = 1.0 / (simulation_rate * np.ceil(perturbation.highest_frequency / limit))
         raise ValueError(
             f"{type(perturbation).__name__}: highest significant frequency = {perturbation.highest_frequency:.6g} Hz; "
-            f"expected at most {limit:.6g} Hz, {BANDWIDTH_SHARE:.0%} of the simulation rate of {simulation_rate:g} Hz"
+            f"expected at most {limit:.6g} Hz, {BANDWIDTH_SHARE:.0%} of the simulation rate of {simulation_rate:g} Hz "
+            f"(--timestep {shorter:.12g}, or smoother edges)"
         )
 
 

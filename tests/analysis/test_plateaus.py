@@ -55,6 +55,22 @@ def test_a_clipped_command_is_found(name):
     assert len(clipped_stretches(CLIPPED[name], is_command=True)) > 3
 
 
+def pulsed_path(size, rate):
+    """Path after a pulse, from two encoders, which turn by counts of their own, (time,)."""
+    time = np.arange(round(4.0 * rate)) / rate
+    path = size * np.exp(-(((time - 2.0) / 0.08) ** 2)) + 3e-3 * np.sin(2.0 * np.pi * 0.7 * time + 1e3 * size)
+    shoulder, elbow = 7.7e-5 * np.round(path / 1e-4), 7.7e-5 * np.round(path / 1.3e-4)
+    return np.sin(0.7 + shoulder) - np.cos(0.9 + elbow)
+
+
+@pytest.mark.parametrize("rate", [200.0, 500.0])
+def test_a_peak_that_encoders_round_is_not_clipped(rate):
+    for size in np.linspace(0.01, 0.03, 20):
+        path = pulsed_path(size, rate)
+        assert clipped_stretches(path) == []
+        assert clipped_stretches(np.minimum(path, path[0] + 0.8 * (path.max() - path[0])))
+
+
 def test_zero_is_a_limit_of_what_cannot_rest_there():
     above = multisine().clip(0.0, None)
     assert clipped_stretches(above)

@@ -5,7 +5,7 @@ import csv
 import numpy as np
 import pytest
 from test_cli import refused, run
-from test_frequency_response import TRUE, multisine, noise, recorded
+from test_frequency_response import RATE, TRUE, multisine, noise, recorded
 
 from armperturb.convert.exporter import export_recording
 from armperturb.recording_files import save_recording
@@ -95,6 +95,20 @@ def test_an_earlier_distortion_goes_if_asked(folder, tmp_path, capsys):
     assert all((tmp_path / name).read_text() == "old" for name in names)
     assert run(*options, "--overwrite") == 0
     assert not any((tmp_path / name).exists() for name in names)
+
+
+@pytest.mark.usefixtures("blank_pictures")
+def test_pulses_alone_name_their_method_and_give_a_response(tmp_path, capsys):
+    rng = np.random.default_rng(3)
+    pulse = np.zeros((3, round(12.0 * RATE), 2))
+    pulse[np.arange(3), 600:620, [0, 1, 0]] = 20.0
+    labels = {"pulse_onset": [3.0] * 3, "pulse_direction": [0.0, 90.0, 0.0], "pulse_level": [1.0] * 3}
+    recording = recorded(pulse, rng, own=0.3, instruments=1.0)
+    save_recording(recording.assign_coords({name: ("trial", each) for name, each in labels.items()}), tmp_path / "p.nc")
+    line = refused(capsys, "response", tmp_path / "p.nc", "--out", tmp_path / "out")
+    assert "does not repeat within the 10 s from 2 s on" in line
+    assert "for noise and pulses there is --method noise" in line
+    assert run("response", tmp_path / "p.nc", "--method", "noise", "--out", tmp_path / "out") == 0
 
 
 @pytest.mark.slow(reason="reads long records many times")

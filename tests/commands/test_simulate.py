@@ -1,5 +1,7 @@
 """`armperturb simulate --mjcf`: the laboratory around another model's arm."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from foreign_models import MUSCLE_ARM, TWO_LINK
@@ -34,6 +36,26 @@ def test_a_muscle_driven_arm_is_recorded(folder, capsys):
         80.0 + np.degrees(np.arctan2(0.05 * np.sin(np.radians(10)), 0.39)), abs=0.1
     )
     assert np.abs(recording["displacement"].values).max() > 1e-3
+
+
+def test_a_person_is_recorded_as_fast_as_asked(folder, capsys):
+    ap.RELAX.save(folder / "relax.toml")
+    options = ("--subject", str(folder / "relax.toml"), "--rate", "1000")
+    assert simulate(folder, *options) == 1
+    assert "(--timestep 0.001 goes with this rate)" in capsys.readouterr().err
+    assert simulate(folder, *options, "--timestep", "0.001") == 0
+    assert "elbow" not in capsys.readouterr().out
+    recording = ap.load_recording(folder / "out.nc")
+    assert (recording.attrs["rate"], recording.sizes["time"]) == (1000.0, 300)
+
+
+def test_an_elbow_past_straight_is_named(folder, capsys):
+    replace(ap.RELAX, theta_e_deg=30.0).save(folder / "straight.toml")
+    ap.save_perturbation(
+        ap.Pulse(peak=200.0, direction_deg=60.0, onset=0.05, duration=0.6), folder / "pulse.csv", rate=200.0
+    )
+    assert simulate(folder, "--subject", str(folder / "straight.toml")) == 0
+    assert "the elbow was bent from -" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -75,6 +75,25 @@ def peak_norm(vectors: Array) -> float:
     return float(np.linalg.norm(vectors, axis=-1).max())
 
 
+def is_cut(path: Array) -> bool:
+    """Whether a path after a pulse, (time, axis), is farthest at its last sample: the peak may be later, and larger."""
+    return int(np.linalg.norm(path, axis=-1).argmax()) == len(path) - 1
+
+
+def cut_peaks(recording: xr.Dataset) -> list[str]:
+    """Conditions with pulses after which the handle still moves away where their window ends, a line each."""
+    counts: dict[tuple[str, str], list[bool]] = {}
+    for trial, span in _spans(recording):
+        condition, task = (str(recording[name].values[trial]) for name in ("condition", "task"))
+        counts.setdefault((condition, task), []).append(is_cut(recording["displacement"].values[trial, span]))
+    return [
+        f"{condition}: after {sum(cut)} of {len(cut)} pulses the handle is farthest at the end of the "
+        f"{WINDOWS[task]:g} s in which peaks are looked for: peaks may be later (shorter pulses, a lighter handle)"
+        for (condition, task), cut in counts.items()
+        if any(cut)
+    ]
+
+
 def _spans(recording: xr.Dataset) -> Iterator[tuple[int, slice]]:
     """Trials that have a `pulse_span`, and that."""
     for trial in range(recording.sizes["trial"]):

@@ -24,13 +24,20 @@ from armperturb.analysis.nonlinear.estimate import (
     require_draws,
 )
 from armperturb.analysis.nonlinear.model import FIXED, Law, Model
-from armperturb.analysis.nonlinear.prediction import PulsePrediction, facts_of, predict_pulses, predict_pulses_linearly
+from armperturb.analysis.nonlinear.prediction import (
+    PulsePrediction,
+    facts_of,
+    predict_pulses,
+    predict_pulses_linearly,
+    remarks_on_peaks,
+)
 from armperturb.analysis.nonlinear.result import NonlinearEstimate
 from armperturb.analysis.nonlinear.spindle_emg import usable_emg
 from armperturb.analysis.nonlinear.start import linear_arms
 from armperturb.analysis.nonlinear.trials import cut_remarks, fitted_conditions, training_sets
+from armperturb.analysis.pulses_alone import PULSES_ALONE
 from armperturb.analysis.results import Description, Result, plain
-from armperturb.analysis.trials import ConditionTrials
+from armperturb.analysis.trials import OTHERS, ConditionTrials
 from armperturb.muscle_law import MuscleLaw
 from armperturb.planar_arm.simulation import load_compiled_arm
 from armperturb.recording import check_recording
@@ -176,6 +183,14 @@ def identify_nonlinear(
         )
     directions = list(pulse_directions_deg)
     sets = fitted_conditions(recording)
+    are_alone = bool(np.isfinite(recording["pulse_onset"]).any()) and not any(
+        (trials.onset < trials.n_samples).any() for trials in sets.values()
+    )
+    if are_alone and directions:
+        raise ValueError(
+            "pulses: nothing but pulses perturbs these trials, and all of them are fitted; expected no directions "
+            f"({OTHERS})"
+        )
     recorded = {float(deg) for trials in sets.values() for deg in trials.direction_deg if not np.isnan(deg)}
     for wanted in directions:
         if not any(math.isclose(wanted, deg) for deg in recorded):
@@ -197,12 +212,11 @@ def identify_nonlinear(
     else:
         model = Model(law=law, free=freed, parts=parts)
         estimate = fit(fitted, arms, model, emg=used, checkpoint=folder and folder / "checkpoint.json.gz", **options)
-    remarks = _of_trials(sets, fitted, arms, freed)
+    remarks = [*_of_trials(sets, fitted, arms, freed), *([PULSES_ALONE] if are_alone else [])]
     if emg and not used:
         remarks.append(
             "EMG is not used: the relaxed arm has no reflexes, of which it tells; the movement alone is used"
         )
-    estimate = replace(estimate, remarks=(*remarks, *estimate.remarks))
     pulses: dict[str, list[PulsePrediction]] = {"nonlinear": [], "linear": [], "skeletal": []}
     everywhere = nearest_arms(list(sets.values()), arms)
     for trials in left_out:
@@ -210,8 +224,9 @@ def identify_nonlinear(
         pulses["nonlinear"] += predict_pulses(trials, estimate.subject(trials.body.task, trials.label))
         pulses["linear"] += predict_pulses_linearly(trials, arm)
         pulses["skeletal"] += predict_pulses(trials, arm)
+    remarks += remarks_on_peaks(pulses["nonlinear"])
     return NonlinearIdentification(
-        estimate=estimate,
+        estimate=replace(estimate, remarks=(*remarks, *estimate.remarks)),
         choice=choice,
         arms=arms,
         pulses={model: tuple(predicted) for model, predicted in pulses.items()},

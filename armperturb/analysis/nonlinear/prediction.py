@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from armperturb.analysis.arm.state_space import simulate_linear
-from armperturb.analysis.measures.pulse import WINDOWS, peak_norm
+from armperturb.analysis.measures.pulse import WINDOWS, is_cut, peak_norm
 from armperturb.analysis.results import Description, Result
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array, Indices
@@ -150,6 +150,20 @@ def facts_of(predictions: Mapping[str, Sequence[PulsePrediction]]) -> tuple[str,
         f"{len(pulses)} left-out pulses, {name}: {', '.join(_agreement(pulses))}"
         for name, pulses in predictions.items()
         if pulses
+    )
+
+
+def remarks_on_peaks(pulses: Sequence[PulsePrediction]) -> list[str]:
+    """A line on pulses after which the handle still moves away where their window ends; none if there are none."""
+    n_cut = sum(is_cut(pulse.recorded) for pulse in pulses)
+    windows = " and ".join(f"{seconds:g} s in {task}" for task, seconds in WINDOWS.items())
+    return (
+        [
+            f"after {n_cut} of {len(pulses)} left-out pulses the handle is farthest where the window for peaks ends "
+            f"({windows} after the onset); recorded and predicted peaks are those until then"
+        ]
+        if n_cut
+        else []
     )
 
 

@@ -50,6 +50,9 @@ FAR = 4.0
 SHORTEST = 10.0
 """Length of a trial from which a linear arm is identified where the perturbation does not repeat [s]."""
 
+OVER = 1.0
+"""Time after which a perturbation that does not change any more is over [s]."""
+
 SPREAD = 0.08
 """SD of the logarithms of the trials' own factors [-]."""
 
@@ -99,7 +102,10 @@ def _distance(result: Identification) -> float:
 
 
 def _needed(conditions: Sequence[ConditionTrials], window_start: float, period: float | None) -> float:
-    """How long a trial must be before its pulse [s]: to the end of a whole period, or `SHORTEST` if there is none."""
+    """How long a trial must be before its pulse [s].
+
+    To the end of a whole period, or `SHORTEST` if there is none; any length if whole trials hold all of a perturbation.
+    """
     if period is not None:
         return window_start + period
     for trials in conditions:
@@ -107,10 +113,19 @@ def _needed(conditions: Sequence[ConditionTrials], window_start: float, period: 
         if late.n_trials and late.is_perturbed(window_start):
             is_periodic = periodic_lines([late], window_start) is not None
             return window_start + late.period(window_start) if is_periodic else SHORTEST
+    if all(_are_over(trials) for trials in conditions):
+        return 0.0
     raise ValueError(
         f"{conditions[0].body.task}: all pulses come before {window_start:g} s, or nothing perturbs the trials before "
         "them; expected a multisine or noise (an earlier --window-start)"
     )
+
+
+def _are_over(trials: ConditionTrials) -> bool:
+    """Whether trials without a labelled pulse are perturbed, but none in its last second any more, as by a pulse."""
+    last = max(trials.n_samples - round(OVER * trials.rate), 0)
+    ended = not np.ptp(trials.perturbation[:, last:], axis=1).any()
+    return bool((trials.onset == trials.n_samples).all()) and ended and trials.is_perturbed(0.0)
 
 
 def start_values(

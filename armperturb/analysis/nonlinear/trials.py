@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import xarray as xr
 
-from armperturb.analysis.trials import ConditionTrials, trials_by_condition
+from armperturb.analysis.pulses_alone import fitted_whole
+from armperturb.analysis.trials import OTHERS, ConditionTrials, trials_by_condition
 from armperturb.arrays import Indices
 
 LEAST = 5.0
@@ -20,21 +21,32 @@ def fitted_conditions(recording: xr.Dataset) -> dict[str, ConditionTrials]:
     """All trials of one person, by condition.
 
     Conditions that are perturbed by pulses alone move too little for identifying the manipulator: they take it from
-    another condition, of the same task if there is one.
+    another condition, of the same task if there is one. Where all are, trials are used whole, as if without pulses.
 
     Raises:
-      ValueError: the recording is refused or of several people, or nothing but pulses perturbs.
+      ValueError: the recording is refused or of several people, nothing perturbs any trial, or as `fitted_whole`.
     """
     conditions = trials_by_condition(recording)
     perturbed = {label: trials for label, trials in conditions.items() if trials.drive[:, : trials.first_onset].any()}
     if not perturbed:
-        raise ValueError("no trial has a perturbation before its pulse; expected some with a multisine or noise")
+        return {label: _whole(trials) for label, trials in conditions.items()}
     for label, trials in conditions.items():
         if label not in perturbed:
             same = [other for other in perturbed.values() if other.body.task == trials.body.task]
             source = (same or list(perturbed.values()))[0]
             conditions[label] = replace(trials, given=source.instruments)
     return conditions
+
+
+def _whole(trials: ConditionTrials) -> ConditionTrials:
+    (whole,) = fitted_whole([trials])
+    if whole is trials:
+        raise ValueError(
+            f"nothing perturbs a trial of {trials.label} before its pulse, and not all have one; expected a multisine "
+            f"or noise, or a pulse in every trial ({OTHERS})"
+        )
+    recording = whole.recording.assign_coords(pulse_direction=("trial", np.full(whole.n_trials, np.nan)))
+    return ConditionTrials.prepare(recording, is_checked=True)
 
 
 def training_sets(

@@ -22,6 +22,10 @@ APERIODIC = 5e-3
 DIFFERENT = 0.1
 """Difference that has to come before a repetition: what moves slowly resembles itself a moment later [-]."""
 
+QUIET = 0.05
+"""Share of the power of whole records below which the parts that a lag compares tell nothing [-]: of a pulse, they are
+what comes before it and after it."""
+
 ROUND_OFF = 1e-6
 """Differences below are none [-]."""
 
@@ -44,8 +48,8 @@ def find_period(perturbation: Sequence[Array], rate: float, start: float = 0.0) 
     longest = max(map(len, perturbation)) / rate
     refusal = (
         f"the perturbation does not repeat within the {longest:.4g} s from {start:g} s on; expected a periodic one "
-        f"that is recorded for at least {1 + OVERLAP:g} periods (for noise there is --method noise; of a shorter "
-        "record state the period: --period)"
+        f"that is recorded for at least {1 + OVERLAP:g} periods (for noise and pulses there is --method noise; of a "
+        "shorter record state the period: --period)"
     )
     apart = np.flatnonzero(difference > DIFFERENT)
     if not len(apart):
@@ -79,15 +83,17 @@ def find_period(perturbation: Sequence[Array], rate: float, start: float = 0.0) 
 def _differences(perturbation: Sequence[Array]) -> Array:
     """Of each lag from 0 on, with the last for which any trial is long enough; 1 is that of unrelated signals."""
     n_lags = int(max(map(len, perturbation)) / (1 + OVERLAP))
-    products, power = np.zeros(n_lags), np.zeros(n_lags)
+    products, power, whole = np.zeros((3, n_lags))
     for d in (each - each.mean(axis=0) for each in perturbation):  # a constant force repeats at every lag
         n = min(n_lags, int(len(d) / (1 + OVERLAP)))
         squares = np.concatenate([[0.0], np.cumsum(np.sum(d**2, axis=1))])
         lag = np.arange(n)
         power[:n] += squares[len(d) - lag] + squares[-1] - squares[lag]
+        whole[:n] += 2 * squares[-1]
         for axis in d.T:
             products[:n] += signal.correlate(axis, axis, mode="full", method="fft")[len(d) - 1 :][:n]
-    return np.asarray(np.maximum(1.0 - 2 * products / np.maximum(power, 1e-300), 0.0))
+    difference = np.maximum(1.0 - 2 * products / np.maximum(power, 1e-300), 0.0)
+    return np.where(power < QUIET * whole, 1.0, difference)
 
 
 def samples_of_period(period: float, rate: float) -> int:

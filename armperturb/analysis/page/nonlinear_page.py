@@ -51,7 +51,7 @@ def write_nonlinear_page(
     checks = {label: check_data(parts, origin.window_start, origin.period) for label, parts in trials.items()}
     sections: dict[str, dict[str, Any]] = {
         "parameters": {"rows": parameter_rows({"": estimate}, estimate.unit_of), "triples": False, "conditions": [""]},
-        "pulses": {},
+        "pulses": {"are_fitted": False},
         "data": {"checks": checks, "notes": origin.notes},
         "traces": {},
         "remarks": {"remarks": said, "causes": {}, "nonlinear": {}},

@@ -17,6 +17,7 @@ from armperturb.analysis.page import figures
 from armperturb.analysis.page.data_check import DataCheck, check_data
 from armperturb.analysis.page.emg import EmgSection, emg_section
 from armperturb.analysis.page.verdict import likely_causes, nonlinearity, unknowns, verdict
+from armperturb.analysis.pulses_alone import PULSES_ALONE, used_whole
 from armperturb.analysis.response.best_linear import BestLinear, best_linear
 from armperturb.analysis.response.estimate import response
 from armperturb.analysis.response.frequency_response import FrequencyResponse
@@ -80,8 +81,8 @@ def _content(
 ) -> str:
     choices = {label: result.fit.choice for label, result in results.items() if result.fit.choice is not None}
     checks = {label: check_data(trials[label], origin.window_start, origin.period) for label in results}
-    # What a fit to trials in the start geometry leaves is left of those.
-    fitted = {label: result.fit.trials or trials[label] for label, result in results.items()}
+    # What a fit to trials in the start geometry leaves is left of those, and pulses alone are part of a fit.
+    fitted = {label: result.fit.trials or tuple(used_whole(trials[label])) for label, result in results.items()}
     diagnoses = {label: diagnose(result, fitted[label]) for label, result in results.items()}
     verdicts = {
         label: verdict(result, diagnoses[label].bands, checks[label].imbalance) for label, result in results.items()
@@ -118,7 +119,7 @@ def _content(
         },
         "endpoint": {"rows": _endpoint_rows(endpoints)},
         "admittance": {},
-        "pulses": {},
+        "pulses": {"are_fitted": any(PULSES_ALONE in result.fit.remarks for result in results.values())},
         "emg": {"emg": emg},
         "data": {"checks": checks, "notes": origin.notes},
         "traces": {},

@@ -1,5 +1,6 @@
 """What all trials of an experiment share, and what truly happens in them before any instrument reads it."""
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -54,9 +55,10 @@ class Setup:
         require_number(owner, "timestep", self.timestep, above=0.0)
         require_number(owner, "rate", self.rate, above=0.0)
         if self.decimation < 1 or abs(self.decimation * self.rate * self.timestep - 1.0) > 1e-9:
+            fitting = 1.0 / (self.rate * max(1, math.ceil(1.0 / (self.rate * self.timestep))))
             raise ValueError(
                 f"{owner}: rate = {self.rate!r} Hz; expected the simulation's {1 / self.timestep:g} Hz over a whole "
-                "number"
+                f"number (--timestep {fitting:.12g} goes with this rate)"
             )
         if self.linear and self.rope != "ideal":
             raise ValueError(f"{owner}: rope = {self.rope!r}; expected 'ideal', the only one that the linear arm has")

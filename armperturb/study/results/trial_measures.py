@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from armperturb.analysis.fit.thesis import ThesisEstimate
-from armperturb.analysis.measures.pulse import peak_norm, predicted_peaks, pulse_peaks, pulse_span
+from armperturb.analysis.measures.pulse import cut_peaks, peak_norm, predicted_peaks, pulse_peaks, pulse_span
 from armperturb.analysis.measures.vaf import variance_accounted_for
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
@@ -135,6 +135,7 @@ def measure_person(
     cells, reasons = measure(recording)
     name = str(recording["subject"].values[0])
     left_out = [f"{name}: {line}" for line in reasons]
+    left_out += [f"{name} in {line}" for line in cut_peaks(recording)]
     by_condition = {case.condition.name: case for case in cases}
     low_gain: dict[str, Array] = {}
     trials: list[TrialMeasures] = []

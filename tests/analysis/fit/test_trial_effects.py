@@ -60,3 +60,10 @@ def test_trials_that_share_a_perturbation_are_not_independent(relax_recording):
     turned = relax_recording.copy(deep=True)
     turned["perturbation"][1] = -0.5 * turned["perturbation"][0]
     assert not ConditionTrials.prepare(turned, is_checked=True).are_independent
+    pulsed = relax_recording.copy(deep=True)
+    pulsed["perturbation"][:, [-300, -200], 0] = 1e3  # which no fit before the pulses uses
+    onsets = ("trial", np.full(len(pulsed.trial), pulsed.time.values[-400]))
+    assert ConditionTrials.prepare(pulsed.assign_coords(pulse_onset=onsets), is_checked=True).are_independent
+    late = relax_recording.copy(deep=True)
+    late["perturbation"][1] = np.roll(late["perturbation"][0], 20, axis=0)
+    assert not ConditionTrials.prepare(late, is_checked=True).are_independent

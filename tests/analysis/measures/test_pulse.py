@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from armperturb.analysis.arm.geometry import hand_jacobian, mass_matrix
-from armperturb.analysis.measures.pulse import predicted_peaks, pulse_peaks, pulse_prediction, pulse_span
+from armperturb.analysis.measures.pulse import cut_peaks, predicted_peaks, pulse_peaks, pulse_prediction, pulse_span
 from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
@@ -48,6 +48,16 @@ def test_peaks_are_norms_in_the_window_of_the_task(growing, task, window):
     assert peaks.displacement == pytest.approx(0.1 * (ONSET + window))
     assert peaks.force == pytest.approx(10.0 * (ONSET + window))
     assert peaks.admittance == pytest.approx(0.01)
+
+
+def test_a_peak_that_the_window_cuts_is_named(growing):
+    d, f, x = growing
+    recording = recorded("PT", d, f, x)
+    (line,) = cut_peaks(recording)
+    assert line.startswith("PT7.5: after 1 of 1 pulses the handle is farthest at the end of the 0.3 s")
+    back = x.copy()
+    back[859:] *= 0.9
+    assert cut_peaks(recorded("PT", d, f, back)) == []
 
 
 def test_the_window_holds_both_ends(growing):

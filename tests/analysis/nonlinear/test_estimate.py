@@ -19,7 +19,12 @@ from armperturb.analysis.nonlinear.draws import (
 from armperturb.analysis.nonlinear.estimate import fit, free_parameters, nearest_arms
 from armperturb.analysis.nonlinear.model import Model, coordinate, true_values
 from armperturb.analysis.nonlinear.noise import NoiseDraws
-from armperturb.analysis.nonlinear.prediction import facts_of, predict_pulses, predict_pulses_linearly
+from armperturb.analysis.nonlinear.prediction import (
+    facts_of,
+    predict_pulses,
+    predict_pulses_linearly,
+    remarks_on_peaks,
+)
 from armperturb.analysis.nonlinear.problem import Normal, Problem
 from armperturb.analysis.nonlinear.result import remarks_on
 from armperturb.analysis.nonlinear.simulated import State
@@ -313,6 +318,9 @@ def test_pulses_of_the_true_person_are_predicted_and_those_of_a_linear_arm_are_n
     assert max(linear.vaf, skeletal.vaf) < 95.0
     assert not np.allclose(linear.predicted, skeletal.predicted, rtol=0.01)
     assert predict_pulses(recorded.before(600), PERSON) == []  # the window is not recorded
+    assert remarks_on_peaks([itself]) == []
+    cut = replace(itself, recorded=itself.recorded[: np.linalg.norm(itself.recorded, axis=1).argmax() + 1])
+    assert remarks_on_peaks([itself, cut])[0].startswith("after 1 of 2 left-out pulses the handle is farthest")
     # Of arms that diverge nothing is predicted, which the medians of the others do not count.
     diverged = replace(linear, predicted=np.full_like(linear.predicted, np.nan))
     assert facts_of({"A": [itself, diverged], "B": [diverged], "C": []}) == (

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from armperturb.analysis.nonlinear.trials import cut_remarks, training_sets
+from armperturb.analysis.nonlinear.trials import cut_remarks, fitted_conditions, training_sets
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.recording import make_recording
 
@@ -86,3 +86,17 @@ def test_what_lasts_to_its_end_is_not_cut_by_the_pulses_of_others():
     assert (whole.numbers.tolist(), before.numbers.tolist()) == ([0], [1])
     assert whole.end > before.end == round(12.0 * RATE)
     assert cut_remarks(conditions, fitted) == []
+
+
+def test_pulses_alone_are_fitted_whole():
+    recording = pulsed(3.0, 4.0, 5.0, still=[0, 1, 2])["RT7.5"].recording
+    (fitted,), left_out = training_sets(fitted_conditions(recording))
+    assert fitted.numbers.tolist() == [0, 1, 2]
+    assert fitted.end > 5.0 * RATE
+    assert left_out == []
+
+
+def test_a_trial_of_rest_beside_pulses_alone_is_named():
+    recording = pulsed(3.0, np.nan, still=[0, 1])["RT7.5"].recording
+    with pytest.raises(ValueError, match=r"nothing perturbs a trial of RT7\.5 before its pulse, and not all have one"):
+        fitted_conditions(recording)

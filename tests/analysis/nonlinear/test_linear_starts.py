@@ -11,8 +11,8 @@ from armperturb.analysis.trials import ConditionTrials
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.trial import Trial
-from armperturb.perturbations import Sampled
-from armperturb.subject import POSITION
+from armperturb.perturbations import Pulse, Sampled
+from armperturb.subject import POSITION, RELAX
 
 RATE = 400.0
 
@@ -42,6 +42,17 @@ def test_trials_too_short_to_start_from_are_refused():
         ValueError, match=r"PT: all pulses or ends come before 10 s; expected a trial .* or 10 s of noise"
     ):
         linear_arms({"PT7.5": shaken(9.0)})
+
+
+def test_pulses_that_are_not_labelled_tell_the_linear_arm_to_start_from():
+    pulses = [Pulse(peak=10.0, direction_deg=deg, onset=2.0, duration=6.0).sample(RATE, 2400) for deg in (20.0, 110.0)]
+    trials = [
+        Trial(subject=RELAX, perturbation=Sampled(force=d, rate=RATE), condition="RT0", repetition=number)
+        for number, d in enumerate(pulses)
+    ]
+    arm = linear_arms({"RT0": ConditionTrials.prepare(run_experiment(trials, engine="compiled"))})["RT0"]
+    for name in ("k_s", "k_e", "b_s", "b_e"):
+        assert getattr(arm, name) == pytest.approx(getattr(RELAX, name), rel=0.15), name
 
 
 @pytest.mark.slow(reason="identifies an arm from noise twice")

@@ -190,6 +190,18 @@ def test_numbers_are_those_of_the_results(identified, content):
         assert (check.clipped, check.held) == ({}, 0.0)
 
 
+@pytest.mark.usefixtures("blank_pictures")
+def test_a_fit_to_pulses_alone_has_a_page(tmp_path):
+    pulsed = Setup(arm=AS_MODEL_1, kind="pulses", seed=1, n_trials=6, duration=6.0, linear=True)
+    labels = {"pulse_onset": [1.0] * 6, "pulse_direction": [0.0, 90.0] * 3, "pulse_level": [1.0] * 6}
+    recording = pulsed.recording().assign_coords({name: ("trial", values) for name, values in labels.items()})
+    trials = parts_by_condition(recording)
+    write_page(identify_conditions(trials, "1"), trials, tmp_path / "identify.html", Origin())
+    text = " ".join(Content((tmp_path / "identify.html").read_text(encoding="utf-8")).text)
+    assert "as the model, which is fitted to these pulses too, predicts it" in text
+    assert "from what precedes the pulses" not in text
+
+
 def test_clipped_and_constant_samples_are_counted(identified):
     _, trials = identified
     recording = trials["multisine"][0].recording.copy(deep=True)

@@ -203,9 +203,12 @@ def test_without_a_period_there_is_one_line():
     ):
         find_period(realisations(7.7, 12.0, 199.3), 199.3)
     rng = np.random.default_rng(12)
-    for d in (noise(rng, 2, 20.0), 0.0 * noise(rng, 1, 5.0), noise(rng, 1, 0.02), multisine(rng, 1, 21.0)):
+    pulse = np.zeros((1, round(10.0 * RATE), 2))
+    pulse[0, 200:216, 0] = 1.0
+    for d in (noise(rng, 2, 20.0), 0.0 * noise(rng, 1, 5.0), noise(rng, 1, 0.02), multisine(rng, 1, 21.0), pulse):
         with pytest.raises(ValueError, match=r"does not repeat within .* there is --method noise"):
             find_period(list(d), RATE)
+    assert find_period(list(np.tile(pulse, (1, 2, 1))[:, : round(11.1 * RATE)]), RATE) == 10.0
 
 
 def test_the_period_and_the_lines_are_found_in_the_recording(excited):
