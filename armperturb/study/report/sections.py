@@ -26,9 +26,10 @@ from armperturb.study.report.nonlinear_tables import SHOWN_MODELS, nonlinear_tab
 from armperturb.study.report.published_tables import published_tables
 from armperturb.study.report.tables import Row, mean_sd_of
 from armperturb.study.report.words import WORDS
-from armperturb.study.results.mean_admittance import main_conditions
+from armperturb.study.results.mean_admittance import by_task, differ_in_amplitude, main_conditions, perturbed_conditions
 from armperturb.study.results.quantities import Cell, published_cells
 from armperturb.study.results.study_result import StudyResult
+from armperturb.subject import TASKS
 
 NEAR = 0.15
 """A headline number this close to the published one is near [-]."""
@@ -80,6 +81,7 @@ def sections(
             "lost_pulses": lost_pulses(study),
             "alone": alone,
             "given": of_study.fall_is_given(study, ratios.get("amplitude_PT")),
+            "set_levels": of_study.set_levels(study, ratios.get("amplitude_PT") or ratios.get("condition_PT")),
             "relaxation": relaxation(study),
             "fits": rows["fits"],
             **flagged,
@@ -94,7 +96,8 @@ def sections(
         "left_out": {"lists": left_out(study, rows["fits"], study.remarks if score is None else score.remarks)},
     }
     if study.conditions:
-        contexts["admittance"] = {"effects": effects, "findings": ratios}
+        amplitudes = {task: differ_in_amplitude(of_task) for task, of_task in by_task(study).items()}
+        contexts["admittance"] = {"effects": effects, "findings": ratios, "amplitudes": amplitudes}
         contexts["fits"] = {"summary": rows["summary"], "rows": rows["fits"], "remarks": remarks(study), **flagged}
         contexts["parameters"] = {
             "rows": rows["parameters_summary"],
@@ -116,7 +119,8 @@ def sections(
     if study.nonlinear:
         contexts["nonlinear"] = _nonlinear(study)
     if effects.rows or effects.admittance:
-        contexts["statistics"] = {"effects": effects}
+        of_amplitude = all(differ_in_amplitude(perturbed_conditions(study, task)) for task in TASKS)
+        contexts["statistics"] = {"effects": effects, "of_amplitude": of_amplitude}
     if (joints := joint_rows(study)) or score is not None or "joint_rotations" in drawn:
         contexts["kinematics"] = {
             "joints": joints,
