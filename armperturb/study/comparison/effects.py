@@ -203,11 +203,16 @@ def effects(study: StudyResult) -> Effects:
             printed = _printed_parameter(name, task) if conditions == AMPLITUDES[task] else ""
             parameters[task, name] = tests.effect(name, task, values, conditions, printed)
 
-    def pulses(quantity: str, of: Sequence[tuple[str, str]]) -> dict[str, list[float]]:
-        return {
-            person.name: [getattr(person.pulses.get(pulse), quantity, math.nan) for pulse in of]
-            for person in study.people
-        }
+    def pulses(quantity: str, what: str, of: Sequence[tuple[str, str]]) -> dict[str, list[float]]:
+        values = {}
+        for person in study.people:
+            values[person.name], lost = _pulse_values(person, quantity, of)
+            if lost:
+                tests.remarks.append(
+                    f"{what}: {person.name} without pulses at {', '.join(f'{each}°' for each in lost)}, which have no "
+                    "peak in some of the compared conditions or levels"
+                )
+        return values
 
     for quantity, of_thesis in (("displacement", PULSED), ("admittance", PULSED), ("prediction", PREDICTED)):
         what = "peak displacement" if quantity == "displacement" else f"pulse {quantity}"
@@ -218,16 +223,18 @@ def effects(study: StudyResult) -> Effects:
                 test = PRINTED_TESTS.get((what, task)) if as_printed else None
                 text = published.headline_text(test) if test else ""
                 printed_pairs = _printed_pairs(what, task) if as_printed else {}
-                tests.effect(what, task, pulses(quantity, pairs), compared, text, printed_pairs)
+                values = pulses(quantity, f"{what}, {task}", pairs)
+                tests.effect(what, task, values, compared, text, printed_pairs)
     levels = {}
     for condition in study.protocol.conditions:
         if len([pulse for pulse in study.pulses if pulse[0] == condition.name]) > 1:
             ends = (max(condition.pulse_levels), min(condition.pulse_levels))
             names = tuple(map(level_name, ends))
             printed = f"p_pulse_admittance_level_{condition.name.lower()}" if _prints(condition.name, names) else ""
+            what = f"pulse admittance, levels of {condition.name}"
             levels[condition.name] = tests.levels(
                 condition,
-                pulses("admittance", [(condition.name, name) for name in names]),
+                pulses("admittance", what, [(condition.name, name) for name in names]),
                 ends,
                 published.headline_text(printed) if printed else "",
             )
@@ -239,6 +246,32 @@ def effects(study: StudyResult) -> Effects:
         pairs=tuple(tests.pairs),
         remarks=tuple(tests.remarks),
     )
+
+
+def _pulse_values(
+    person: PersonMeasures, quantity: str, of: Sequence[tuple[str, str]]
+) -> tuple[list[float], list[str]]:
+    """A person's means in some pulses, and the directions [deg] that these leave out.
+
+    Peaks differ between directions: all means are over those in which each of the pulses tells something.
+
+    Args:
+      person: of the study.
+      quantity: a field of `PulseMeans`; of a prediction, a ratio, each mean is over all that was predicted.
+      of: conditions and levels.
+    """
+    means = [person.pulses.get(pulse) for pulse in of]
+    values = [getattr(each, quantity, math.nan) for each in means]
+    there = [set(each.by_direction) for each in means if each is not None]
+    if quantity == "prediction" or not there or all(each == there[0] for each in there):
+        return values, []
+    common = set.intersection(*there)
+    place = ("displacement", "admittance").index(quantity)
+    for number, each in enumerate(means):
+        if each is not None:
+            in_common = [each.by_direction[direction][place] for direction in sorted(common, key=float)]
+            values[number] = float(np.mean(in_common)) if in_common else math.nan
+    return values, sorted(set.union(*there) - common, key=float)
 
 
 def compared_pulses(study: StudyResult, task: str, *, predicted: bool = False) -> tuple[tuple[str, str], ...]:

@@ -109,6 +109,11 @@ def sections(
         contexts["pulses"] = {
             "findings": ratios,
             "excess": of_study.excess_rows(study),
+            "lost": sum(
+                trial.pulse_level != 0.0 and math.isnan(trial.displacement)
+                for person in study.people
+                for trial in person.trials
+            ),
             "ratio_is_published": any(ratio_is_published(each.name, each.pulse_levels) for each in conditions),
             # But for p values, which the statistics have.
             "headlines": score

@@ -162,7 +162,7 @@ def measure(
             try:
                 values = list(part())
             except ValueError as error:
-                left_out.append(str(error))
+                left_out.append(f"{error} ({_where(inside, trial)})")
                 continue
             for cell, kind, value in values:
                 pools.setdefault(cell, {}).setdefault(kind, []).append(value)
@@ -180,6 +180,13 @@ def measure(
         elif kinds:
             left_out.append(f"{cell.table}, {cell.condition}, {cell.quantity}: no trial of level {', '.join(missing)}")
     return Measured(cells, tuple(left_out))
+
+
+def _where(recording: xr.Dataset, trial: int) -> str:
+    """Condition of a trial, and the direction of its pulse if it has any."""
+    direction = float(recording["pulse_direction"].values[trial])
+    pulse = "" if math.isnan(direction) else f", pulse at {direction:g}°"
+    return f"{recording['condition'].values[trial]}{pulse}"
 
 
 _Value = tuple[Cell, str, float]
@@ -209,7 +216,8 @@ def _cut_at_limits(recording: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
         if beyond[trial].any():
             time = int(np.argmax(beyond[trial])) / rate
             if not limit_time[trial] <= time:
-                left_out.append(f"trial {trial}: the handle is out of the arm's reach at {time:.3f} s")
+                where = _where(recording, trial)
+                left_out.append(f"trial {trial}: the handle is out of the arm's reach at {time:.3f} s ({where})")
                 limit_time[trial] = time
         if np.isfinite(limit_time[trial]):
             last = max(_first_sample_from(limit_time[trial], rate) - 1, 0)
