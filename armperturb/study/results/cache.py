@@ -44,7 +44,7 @@ VERSIONS = {
     "figure": 1,
     "played": 1,
     "films": 1,
-    "emg": 10,
+    "emg": 11,
 }
 """Kind of result to the version of its algorithm.
 
