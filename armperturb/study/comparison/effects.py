@@ -229,7 +229,7 @@ def effects(study: StudyResult) -> Effects:
     for condition in study.protocol.conditions:
         if len([pulse for pulse in study.pulses if pulse[0] == condition.name]) > 1:
             ends = (max(condition.pulse_levels), min(condition.pulse_levels))
-            names = tuple(map(level_name, ends))
+            names = tuple(level_name(condition.name, end) for end in ends)
             printed = f"p_pulse_admittance_level_{condition.name.lower()}" if _prints(condition.name, names) else ""
             what = f"pulse admittance, levels of {condition.name}"
             levels[condition.name] = tests.levels(
@@ -291,7 +291,7 @@ def compared_pulses(study: StudyResult, task: str, *, predicted: bool = False) -
         if condition.name in pulsed and (condition.has_multisine or not predicted)
     ]
     common = set.intersection(*(set(condition.pulse_levels) for condition in conditions)) if conditions else set()
-    return tuple((condition.name, level_name(max(common))) for condition in conditions if common)
+    return tuple((condition.name, level_name(condition.name, max(common))) for condition in conditions if common)
 
 
 def admittance_effect(study: StudyResult, task: str) -> AdmittanceEffect | None:

@@ -200,8 +200,8 @@ def joint_rows(study: StudyResult) -> list[Row]:
     """Joint rotations and velocities from the handle's path, and as simulated, beside the printed ones, SI."""
     rows = []
     recorded = [cell for person in study.people for cell in person.cells]
-    unprinted = [c.name for c in study.protocol.conditions if c.name not in published.conditions()]
-    others = [cell for name in unprinted for cell in dict.fromkeys(recorded) if cell.condition == name]
+    unprinted = [cell for cell in dict.fromkeys(recorded) if cell not in published_cells()]
+    others = [cell for each in study.protocol.conditions for cell in unprinted if cell.condition == each.name]
     for cell in sorted((*published_cells(), *others), key=lambda cell: cell.table):
         if not cell.table.startswith("F"):
             continue

@@ -36,8 +36,8 @@ LOG = logging.getLogger(__name__)
 Result = TypeVar("Result")
 
 VERSIONS = {
-    "person": 4,
-    "step-2": 4,
+    "person": 5,
+    "step-2": 5,
     "nonlinear": 4,
     "mechanisms": 1,
     "moving-shoulder": 2,

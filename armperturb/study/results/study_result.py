@@ -160,7 +160,10 @@ class StudyResult(results.Result):
             pulse
             for condition in self.protocol.conditions
             for level in sorted(condition.pulse_levels)
-            if any((pulse := (condition.name, level_name(level))) in person.pulses for person in self.people)
+            if any(
+                (pulse := (condition.name, level_name(condition.name, level))) in person.pulses
+                for person in self.people
+            )
         )
 
     def n_trials(self, condition: str) -> int:

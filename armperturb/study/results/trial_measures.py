@@ -115,7 +115,7 @@ class PersonMeasures:
                 of_level = of_condition.setdefault(trial.condition, {})
                 of_level.setdefault(abs(trial.pulse_level), []).append(trial)
         return {
-            (condition, level_name(level)): _pulse_means(its)
+            (condition, level_name(condition, level)): _pulse_means(its)
             for condition, of_level in of_condition.items()
             for level, its in sorted(of_level.items())
         }

@@ -338,8 +338,8 @@ def test_means_are_over_the_trials_that_tell_something():
     )
     pulses = person("A", trials=trials).pulses
     assert pulses.keys() == {("PT7.5", "min"), ("PT22.5", "max")}
-    assert pulses["PT7.5", "min"] == pytest.approx((0.04, 3e-3, 75.0, 1.5, 75.0))
-    assert pulses["PT22.5", "max"] == pytest.approx((0.05, 2e-3, *[math.nan] * 3), nan_ok=True)
+    assert pulses["PT7.5", "min"][:5] == pytest.approx((0.04, 3e-3, 75.0, 1.5, 75.0))
+    assert pulses["PT22.5", "max"][:5] == pytest.approx((0.05, 2e-3, *[math.nan] * 3), nan_ok=True)
 
 
 def test_a_skeletal_model_that_leaves_the_workspace_predicts_nothing(study):

@@ -166,6 +166,9 @@ def test_pulses_of_a_third_level_are_neither_beside_the_thesiss_ratio_nor_below_
     assert len(told) == 3
     names = [text.get_text() for text in figure.legends[0].get_texts()]
     assert names[:4] == ["people, PT, level 1", "people, PT, level 2", "people, PT, level 3", "people, RT, level 1"]
+    # Names of the thesis's levels are none of other conditions.
+    own = pulse_figures.pulse_admittance(renamed(invented, factor=1.0)).legends[0].get_texts()
+    assert [text.get_text() for text in own][:2] == ["people, PT, level 1", "people, PT, level 2"]
     of_thesis = pulse_figures.pulse_admittance(invented).legends[0].get_texts()
     assert [text.get_text() for text in of_thesis][:2] == ["people, PT, minimum level", "people, PT, maximum level"]
 
