@@ -13,7 +13,7 @@ from armperturb.study.comparison.ceiling import OF_PRINTED_ARMS, causes, replica
 from armperturb.study.comparison.effects import Effects
 from armperturb.study.comparison.elastic_limits import NAMES, elastic_rows
 from armperturb.study.comparison.headlines import Headline
-from armperturb.study.comparison.score import Score, Share, missing_cells, shares
+from armperturb.study.comparison.score import ANOTHER, Score, Share, missing_cells, shares
 from armperturb.study.experiments.mechanisms import PULSES, Yielding
 from armperturb.study.experiments.moving_shoulder import MovingShoulder
 from armperturb.study.published import tables as published
@@ -147,6 +147,7 @@ def sections(
             "tables": published_tables(score),
             "score": score,
             "missing": missing_cells(score),
+            "another": ANOTHER,
             **_agreement(score),
         }
     return {template: contexts[template] for template in WORDS["sections"] if template in contexts}
@@ -275,7 +276,8 @@ def _differs(score: Score, factors: list[Row], every: Mapping[str, Share]) -> li
     if far:
         worst = ", ".join(f"{name} ({100.0 * part:.0f}\u00a0%)" for part, name in far[:MOST_NAMED])
         lines.append(f"less than half of the cells within 1 SD: {len(far)} of {len(of_tables)} tables, least {worst}")
-    lines += causes({name: within[name] for name in WORDS["groups"] if name in within}, score.people)
+    if not score.differences:  # else neither people nor print are the cause
+        lines += causes({name: within[name] for name in WORDS["groups"] if name in within}, score.people)
     lacking = sum(missing_cells(score).values())
     if lacking:
         lines.append(

@@ -13,7 +13,8 @@ import xarray as xr
 from armperturb.analysis import results
 from armperturb.cohort import Person
 from armperturb.environment import Environment
-from armperturb.study.protocol import Condition, Protocol
+from armperturb.study.protocol import THESIS, Condition, Protocol
+from armperturb.study.recording.folder import differences
 from armperturb.study.recording.manifest import Manifest
 from armperturb.study.results.appendix_fits import Appendices
 from armperturb.study.results.cases import Case
@@ -144,6 +145,17 @@ class StudyResult(results.Result):
     def is_ideal(self) -> bool:
         """Whether people and instruments are free of noise."""
         return self.made is not None and self.made.ideal
+
+    @cached_property
+    def unlike_thesis(self) -> tuple[str, ...]:
+        """What the protocol does otherwise than the thesis's (there), in conditions that both have; empty if unknown."""
+        if self.made is None:
+            return ()
+        there, now = THESIS.to_dict(), self.protocol.to_dict()
+        recorded = {condition["name"]: condition for condition in now["conditions"]}
+        there["conditions"] = [each for each in there["conditions"] if each["name"] in recorded]
+        now["conditions"] = [recorded[each["name"]] for each in there["conditions"]]
+        return tuple(differences(there, now))
 
     @cached_property
     def conditions(self) -> tuple[Condition, ...]:

@@ -27,6 +27,7 @@ from armperturb.study.comparison.score import (
     shares,
     write_score,
 )
+from armperturb.study.protocol import THESIS
 from armperturb.study.published import tables as published
 from armperturb.study.published.tables import MeanSD
 from armperturb.study.recording.folder import find_recordings
@@ -201,6 +202,39 @@ def test_scores_of_several_cohorts_are_means_with_their_spread(result):
     assert f"{mean:.3g} ({spread:.2g})" in shown
     assert len(repr(both).splitlines()) <= LINES
     assert both.plot(new_figure(3.0)).has_data()
+
+
+def test_a_study_without_a_computed_cell_is_left_out_of_means(result):
+    def nothing(scored):
+        return replace(scored, ours=MeanSD(math.nan, math.nan), reason="not recorded")
+
+    empty = replace(result, cells=tuple(map(nothing, result.cells)))
+    relaxed = replace(
+        result, cells=tuple(nothing(each) if each.cell.condition[:2] == "PT" else each for each in result.cells)
+    )
+    three = CohortScores(scores=(result, empty, relaxed))
+    alone = CohortScores(scores=(result,)).to_frame()
+    assert three.to_frame().loc[("total", 1)].isna().all()
+    assert three.to_frame().loc[("2.1 and F, PT", 0)].to_list() == alone.loc[("2.1 and F, PT", 0)].to_list()
+    text = three.summary()
+    assert "study 2 has no computed cell: left out of all means" in text
+    assert "study 3 has no computed cell of 2.1 and F, PT; D; E: left out of these means" in text
+    assert "study 1 has no computed cell of D; E: left out of these means" in text  # there is no such fit of the study
+
+
+def test_settings_that_are_not_the_thesiss_are_listed_and_causes_left_out(study, result):
+    text = result.summary()
+    assert text.splitlines()[1].startswith("This study is another experiment than the thesis's: other pulse_levels, ")
+    assert result.other_settings[-3:] == ("multisine_duration", "trial_duration", "onset_window")
+    assert '  forces is "practice" there and "published" now' in text
+    assert "  conditions[PT7.5].reached is 0.83 there and 1.0 now" in text
+    assert not any("missing" in line for line in result.differences)
+    assert "our people's" not in text
+    fewer = tuple(each for each in THESIS.conditions if each.name != "RT0")
+    own = replace(THESIS.condition("RT0"), name="own")
+    repeated = score(replace(study, protocol=replace(THESIS, conditions=(own, *fewer))))
+    assert repeated.differences == ()
+    assert "our people's" in repeated.summary()
 
 
 def test_the_summary_says_what_can_be_reached(result):
@@ -411,7 +445,7 @@ def test_command_refuses(tmp_path, capsys, arguments, message):
 
 def test_a_score_reads_as_a_table_and_plots(result):
     assert len(repr(result).splitlines()) <= LINES
-    assert repr(result).splitlines()[3].startswith("total ")
+    assert any(line.startswith("total ") for line in repr(result).splitlines()[:6])
     assert "<table>" in result._repr_html_()
     frame = result.to_frame()
     assert ",".join(frame.columns) == HEADER
