@@ -134,13 +134,17 @@ class _Tests:
         conditions: Sequence[str],
         printed: str = "",
         printed_pairs: Mapping[tuple[int, int], str] | None = None,
+        level: str = "",
     ) -> float:
-        """Test whether conditions differ, and which; gives p, NaN if it cannot be told."""
+        """Test whether conditions differ, and which; gives p, NaN if it cannot be told.
+
+        The row names the level of the pulses, where one is given.
+        """
         table = self.table(f"{what}, {task}", values, conditions)
         if table is None:
             return math.nan
         effect = statistics.effect_of_condition(table, conditions=conditions)
-        self.rows.append(_row(what, task, ", ".join(conditions), effect, printed))
+        self.rows.append(_row(what, task, ", ".join(conditions) + f" (level {level})" * bool(level), effect, printed))
         for (i, j), pair in statistics.post_hoc(table, conditions=conditions).items():
             self.pairs.append(
                 {
@@ -218,17 +222,19 @@ def effects(study: StudyResult) -> Effects:
         what = "peak displacement" if quantity == "displacement" else f"pulse {quantity}"
         for task in TASKS:
             pairs = compared_pulses(study, task, predicted=quantity == "prediction")
+            if lost := _lost_pulses(study, task, pairs, predicted=quantity == "prediction"):
+                tests.remarks.append(f"{what}, {task}: {lost}")
             if len(pairs) > 1:
                 compared, as_printed = tuple(condition for condition, _ in pairs), pairs == of_thesis[task]
                 test = PRINTED_TESTS.get((what, task)) if as_printed else None
                 text = published.headline_text(test) if test else ""
                 printed_pairs = _printed_pairs(what, task) if as_printed else {}
                 values = pulses(quantity, f"{what}, {task}", pairs)
-                tests.effect(what, task, values, compared, text, printed_pairs)
+                tests.effect(what, task, values, compared, text, printed_pairs, level="" if as_printed else pairs[0][1])
     levels = {}
     for condition in study.protocol.conditions:
-        if len([pulse for pulse in study.pulses if pulse[0] == condition.name]) > 1:
-            ends = (max(condition.pulse_levels), min(condition.pulse_levels))
+        if len(measured := measured_levels(study, condition)) > 1:
+            ends = (max(measured), min(measured))
             names = tuple(level_name(condition.name, end) for end in ends)
             printed = f"p_pulse_admittance_level_{condition.name.lower()}" if _prints(condition.name, names) else ""
             what = f"pulse admittance, levels of {condition.name}"
@@ -274,24 +280,49 @@ def _pulse_values(
     return values, sorted(set.union(*there) - common, key=float)
 
 
+def measured_levels(study: StudyResult, condition: Condition) -> set[float]:
+    """Levels of pulses of which as many people as a test needs have a peak; where none is, those of anybody."""
+    n_people = {
+        level: sum((condition.name, level_name(condition.name, level)) in person.pulses for person in study.people)
+        for level in condition.pulse_levels
+    }
+    return {level for level, n in n_people.items() if n >= FEWEST} or {level for level, n in n_people.items() if n}
+
+
 def compared_pulses(study: StudyResult, task: str, *, predicted: bool = False) -> tuple[tuple[str, str], ...]:
     """Condition and level of the pulses that show what the multisine before them does, the smallest movement first.
 
-    They are of the largest level that all conditions of the task with pulses have; none if they have none in common.
+    They are of the largest level that was measured in all conditions of the task with pulses (`measured_levels`); none
+    if there is no such level.
 
     Args:
       study: with measured people.
       task: "PT" or "RT".
       predicted: leave out conditions without a multisine, in which nothing predicts a pulse.
     """
-    pulsed = {condition for condition, _ in study.pulses}
-    conditions = [
-        condition
-        for condition in perturbed_conditions(study, task)
-        if condition.name in pulsed and (condition.has_multisine or not predicted)
-    ]
-    common = set.intersection(*(set(condition.pulse_levels) for condition in conditions)) if conditions else set()
-    return tuple((condition.name, level_name(condition.name, max(common))) for condition in conditions if common)
+    measured = _measured(study, task, predicted=predicted)
+    common = set.intersection(*measured.values()) if measured else set()
+    names = [name for name in measured if common]
+    return tuple((name, level_name(name, max(common))) for name in names)
+
+
+def _measured(study: StudyResult, task: str, *, predicted: bool) -> dict[str, set[float]]:
+    """Conditions of which a pulse was measured to these levels, the smallest movement first."""
+    conditions = [each for each in perturbed_conditions(study, task) if each.has_multisine or not predicted]
+    measured = {condition.name: measured_levels(study, condition) for condition in conditions}
+    return {name: levels for name, levels in measured.items() if levels}
+
+
+def _lost_pulses(study: StudyResult, task: str, pairs: Sequence[tuple[str, str]], *, predicted: bool) -> str:
+    """What pulses that were not measured do to the comparison of conditions; empty if they do nothing."""
+    conditions = [each for each in perturbed_conditions(study, task) if each.has_multisine or not predicted]
+    planned = [each for each in conditions if each.pulse_levels]
+    if len(planned) < 2 or not study.pulses:
+        return ""
+    if not pairs:
+        return "not tested, as no level of pulses was measured in every condition"
+    gone = [each.name for each in planned if each.name not in dict(pairs)]
+    return f"without {', '.join(gone)}, in which no pulse was measured" if gone else ""
 
 
 def admittance_effect(study: StudyResult, task: str) -> AdmittanceEffect | None:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from armperturb.analysis.fit.maximum_likelihood import SUSPICIOUS
+from armperturb.analysis.measures.statistics import FEWEST
 from armperturb.pages.formats import digits, fixed
 from armperturb.study.comparison.ceiling import OF_PRINTED_ARMS, causes, replicate_share
 from armperturb.study.comparison.effects import Effects
@@ -123,7 +124,7 @@ def sections(
         contexts["emg"] = emg_section(study)
     if study.nonlinear:
         contexts["nonlinear"] = _nonlinear(study)
-    if effects.rows or effects.admittance:
+    if effects.rows or effects.admittance or (effects.remarks and len(study.names) >= FEWEST):
         of_amplitude = all(differ_in_amplitude(perturbed_conditions(study, task)) for task in TASKS)
         contexts["statistics"] = {"effects": effects, "of_amplitude": of_amplitude}
     if (joints := joint_rows(study)) or score is not None or "joint_rotations" in drawn:

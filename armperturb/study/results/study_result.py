@@ -148,7 +148,7 @@ class StudyResult(results.Result):
 
     @cached_property
     def unlike_thesis(self) -> tuple[str, ...]:
-        """What the protocol does otherwise than the thesis's (there), in conditions that both have; empty if unknown."""
+        """What the protocol does otherwise than the thesis's (there), in conditions of both; empty if unknown."""
         if self.made is None:
             return ()
         there, now = THESIS.to_dict(), self.protocol.to_dict()

@@ -183,6 +183,45 @@ def test_a_direction_counts_once_however_many_trials_it_has(people):
     assert means.by_direction.keys() == {"20", "200"}
 
 
+def without_peaks(people, lost):
+    """These people, of whose trials some have no peak."""
+    return tuple(
+        replace(
+            each,
+            trials=tuple(
+                t._replace(displacement=math.nan, force=math.nan) if lost(each, t) else t for t in each.trials
+            ),
+        )
+        for each in people
+    )
+
+
+def test_levels_that_nobody_has_peaks_of_do_not_end_the_tests(people):
+    own = renamed(study_of(people))
+    both = tuple(
+        replace(each, pulse_levels=(1.5, 3.0)) if each.name[4:] in ("PT0", "PT7.5") else each
+        for each in own.protocol.conditions
+        if each.name[4:] in ("PT0", "PT7.5")
+    )
+    own = replace(own, protocol=replace(own.protocol, conditions=both, pulse_unit_condition=""))
+    compared = "own PT0, own PT7.5 (level {})"
+    assert row(effects(own).rows, quantity="peak displacement", conditions=compared.format(3))
+    # Of two people out of five the largest level is too little for a test.
+    few = without_peaks(own.people, lambda each, t: abs(t.pulse_level) == 3.0 and each.name not in ("S01", "S02"))
+    found = effects(replace(own, people=few))
+    assert row(found.rows, quantity="peak displacement", conditions=compared.format(1.5))["people"] == 5
+    assert found.levels == {}
+    gone = without_peaks(own.people, lambda _, t: abs(t.pulse_level) == (3.0 if t.condition == "own PT0" else 1.5))
+    found = effects(replace(own, people=gone))
+    assert "peak displacement, PT: not tested, as no level of pulses was measured in every condition" in found.remarks
+
+
+def test_a_condition_of_which_no_pulse_was_measured_is_named(people):
+    lost = effects(study_of(without_peaks(people, lambda _, t: t.condition == "PT2.5")))
+    assert "peak displacement, PT: without PT2.5, in which no pulse was measured" in lost.remarks
+    assert row(lost.rows, quantity="peak displacement", task="PT")["conditions"] == "PT0, PT7.5, PT22.5 (level max)"
+
+
 def test_too_few_people_are_told():
     found = effects(study_of(people_of(("S01", "S02"))))
     assert found.rows == ()

@@ -13,7 +13,7 @@ from armperturb.pages.page import Picture, rendered
 from armperturb.study.comparison.effects import effects
 from armperturb.study.recording.settings import StudySettings
 from armperturb.study.report.findings import fall_is_given, findings, set_levels
-from armperturb.study.report.sections import lost_pulses, named_by_displacement
+from armperturb.study.report.sections import lost_pulses, named_by_displacement, sections
 from armperturb.study.report.words import WORDS
 from armperturb.study.results.mean_admittance import by_task, differ_in_amplitude
 
@@ -179,3 +179,14 @@ def test_linear_people_differ_by_the_co_contraction_that_the_protocol_sets(study
         text = section(each, "admittance", ["admittance_by_amplitude_PT"], **shown, effects=effects(each))
         assert ("differs here is how much they co-contract, noise, and how much the arm" in text) == is_set
         assert ("from all trials, darker for larger movements" in text) != is_set
+
+
+def test_tests_that_were_not_made_are_told_though_there_is_none(study):
+    def shown(people):
+        told = replace(study, people=people, cases=())
+        tested = replace(effects(told), rows=(), pairs=(), admittance={}, remarks=("b_s, PT: not tested",))
+        tables = {name: [] for name in ("summary", "fits", "estimates", "conditions", "parameters_summary")}
+        return sections(told, None, tested, tables, yielding=None, shoulder=None, drawn=())
+
+    assert shown(study.people)["statistics"]["effects"].remarks
+    assert "statistics" not in shown(study.people[:2])
