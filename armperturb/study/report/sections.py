@@ -130,6 +130,7 @@ def sections(
     if (joints := joint_rows(study)) or score is not None or "joint_rotations" in drawn:
         contexts["kinematics"] = {
             "joints": joints,
+            "has_truth": any(person.true_cells for person in study.people),
             "limits": elastic_rows(_means(study)),
             "printed_limits": elastic_rows({cell: printed.mean for cell, printed in published_cells().items()}),
             "shoulder": shoulder,

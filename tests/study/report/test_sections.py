@@ -190,3 +190,21 @@ def test_tests_that_were_not_made_are_told_though_there_is_none(study):
 
     assert shown(study.people)["statistics"]["effects"].remarks
     assert "statistics" not in shown(study.people[:2])
+
+
+def test_recordings_of_people_are_not_called_simulated(study):
+    joint = {"table": "F.2", "condition": "PT2.5", "quantity": "rms_velocity_s", "path_mean": 0.2, "path_sd": 0.1}
+    joint |= {f"{of}_{what}": math.nan for of in ("simulated", "published") for what in ("mean", "sd")}
+    shown = {"joints": [joint], "limits": [], "printed_limits": [], "shoulder": None, "names": {}}
+    text = section(study, "kinematics", ["joint_rotations"], **shown, has_truth=False)
+    assert "from the handle's path. Dots" in text
+    assert "simulated" not in text
+    assert "as simulated. Dots" in section(study, "kinematics", ["joint_rotations"], **shown, has_truth=True)
+    assert "The hand holds the manipulator, which" in section(study, "method")
+    simulated = section(replace(study, made=StudySettings()), "method", ["pulse_signal", "perturbation"])
+    assert "The hand holds a simulated manipulator, which" in simulated
+    assert "half a sine" in simulated
+    assert "full power up to 1.5" in simulated
+    of_people = section(study, "method", ["pulse_signal", "perturbation"])
+    assert "and the pulse enlarged." in of_people
+    assert "density of its multisine." in of_people
