@@ -415,6 +415,10 @@ def test_recordings_that_are_not_whole_are_told(folder, tmp_path):
     paths, remarks = find_recordings(copy)
     assert [path.stem for path in paths] == ["S01"]
     assert remarks == ["S02.nc does not match its checksum; it is left out"]
+    shutil.copy(copy / "recordings" / "S01.nc", copy / "recordings" / "P07.nc")
+    said = "P07.nc is not among the checksums of the study (recordings/SHA256SUMS); it is left out"
+    assert find_recordings(copy)[1] == [said, *remarks]
+    (copy / "recordings" / "P07.nc").unlink()
     (copy / "recordings" / "SHA256SUMS").unlink()
     assert find_recordings(copy) == (sorted((copy / "recordings").glob("*.nc")), [])
     (copy / "recordings" / "SHA256SUMS").write_text("")
