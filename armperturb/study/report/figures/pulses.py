@@ -14,6 +14,7 @@ from armperturb.study.published import tables as published
 from armperturb.study.published.tables import MeanSD
 from armperturb.study.report.figures import groups as groups_of_people
 from armperturb.study.report.figures.groups import MARKERS, MODEL_LOOKS, NOTHING_PRINTED, Series
+from armperturb.study.report.figures.people import fit_labels
 from armperturb.study.report.tables import published_or_nan
 from armperturb.study.results.mean_admittance import perturbed_conditions
 from armperturb.study.results.quantities import PULSE_LEVELS, level_name
@@ -149,6 +150,8 @@ def _draw_levels(
     }
     figure, panels = groups_of_people.task_panels(3.5, groups, shared=shared)
     tops = {task: (ax, groups_of_people.draw_groups(ax, groups[task], scale)) for task, ax in panels.items()}
+    for ax in panels.values():
+        fit_labels(ax)
     drawn = {
         task: sorted({level for of in conditions.values() for level in of}) for task, conditions in by_task.items()
     }
