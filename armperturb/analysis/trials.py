@@ -10,17 +10,15 @@ A trial is used up to its pulse; `cuts` says where that is.
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import combinations
 from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
 import xarray as xr
-from scipy import fft
 
 from armperturb.analysis.cuts import limit_samples, of_condition, one_condition, onset_samples
 from armperturb.analysis.defaults import SETTLED
 from armperturb.analysis.force_balance import EDGE, Balance, NoiseLevels, Skew
-from armperturb.analysis.numerics.periodicity import find_period, samples_of_period
+from armperturb.analysis.numerics.periodicity import are_independent, find_period, samples_of_period
 from armperturb.analysis.start import constant_force, start_at_rest
 from armperturb.arrays import Array, Indices
 from armperturb.environment import Environment
@@ -36,9 +34,6 @@ NEGLIGIBLE = 1e-9
 
 OTHERS = "in Python, recording.isel(trial=[...]) takes the other trials"
 """How a trial is left out, for messages."""
-
-ALIKE = 0.9
-"""Correlation, at the best lag, from which on two perturbations are the same one [-]."""
 
 
 class TrialRecord(NamedTuple):
@@ -99,14 +94,8 @@ class ConditionTrials:
     @cached_property
     def are_independent(self) -> bool:
         """Whether every trial has a perturbation of its own, no other's one scaled, turned round or at another time."""
-        parts = (d[: max(end, 1)][: self.last] for d, end in zip(self.perturbation, self.onset, strict=True))
-        signals = [part - part.mean(axis=0) for part in parts]
-        size, padded = [np.linalg.norm(each) for each in signals], fft.next_fast_len(2 * self.n_samples, real=True)
-        spectra = [fft.rfft(each, padded, axis=0) for each in signals]
-        return all(size) and not any(
-            np.abs(fft.irfft(np.sum(spectra[i].conj() * spectra[j], axis=1), padded)).max() > ALIKE * size[i] * size[j]
-            for i, j in combinations(range(self.n_trials), 2)
-        )
+        used = [d[: max(end, 1)][: self.last] for d, end in zip(self.perturbation, self.onset, strict=True)]
+        return are_independent([part - part.mean(axis=0) for part in used])
 
     @cached_property
     def body(self) -> Subject:
@@ -171,8 +160,7 @@ class ConditionTrials:
     @cached_property
     def drive(self) -> Array:
         """d without a constant force, and with zero for what is negligible [N]: simulating denormal numbers is slow."""
-        held = 0.0 if self.from_rest else constant_force(self.perturbation[:, : self.first_onset])
-        d = self.perturbation - held
+        d = self.perturbation - (0.0 if self.from_rest else constant_force(self.perturbation[:, : self.first_onset]))
         return np.where(np.abs(d) < NEGLIGIBLE, 0.0, d)
 
     @cached_property

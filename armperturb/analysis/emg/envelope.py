@@ -108,6 +108,7 @@ class Envelopes(Result):
       faults: of channels, in the order of the trials.
       crosstalk: pairs of channels that share a signal.
       hum: name of each channel that hums to the frequencies that are cut out [Hz].
+      contractions: conditions in which muscles are contracted on purpose, whatever the task is.
     """
 
     muscles: dict[str, Action]
@@ -124,6 +125,7 @@ class Envelopes(Result):
     faults: tuple[ChannelFault, ...]
     crosstalk: tuple[Crosstalk, ...]
     hum: dict[str, list[float]]
+    contractions: tuple[str, ...] = ()
 
     @property
     def is_normalised(self) -> bool:
@@ -140,11 +142,11 @@ class Envelopes(Result):
         """Whether amplitudes are relative to those of an active muscle, (muscle,).
 
         Without a maximal contraction they are where the muscle is active in the condition that they are relative to,
-        and this is none of the relax task.
+        and this is none of the relax task, or a contraction.
         """
-        relaxed = self.labels["condition"][self.labels["task"] == "RT"]
+        relaxed = set(self.labels["condition"][self.labels["task"] == "RT"]) - set(self.contractions)
         is_active = ACTIVE * self.noise <= 1.0
-        return np.asarray((is_active & (self.reference not in set(relaxed))) | self.is_normalised)
+        return np.asarray((is_active & (self.reference not in relaxed)) | self.is_normalised)
 
     @property
     def amplitude(self) -> Array:
@@ -300,6 +302,7 @@ def envelopes(
     whiten: bool = True,
     maximal: str = MAXIMAL,
     rest: str = REST,
+    contractions: Sequence[str] = (),
 ) -> Envelopes:
     """Envelopes of one person's EMG.
 
@@ -315,6 +318,7 @@ def envelopes(
       whiten: whether to whiten; if not, the band alone is let through.
       maximal: condition of the trials of maximal contraction.
       rest: condition of the trials at rest.
+      contractions: conditions in which muscles are contracted on purpose, so that nobody relaxes in them.
 
     Raises:
       ValueError: as `require_emg` and `channels.require_raw`; there are several people; or the band is empty.
@@ -380,6 +384,7 @@ def envelopes(
         faults=tuple(faults),
         crosstalk=crosstalk_of(shared, names),
         hum={names[column]: lines for column, lines in filtered.hum.items()},
+        contractions=tuple(contractions),
     )
 
 

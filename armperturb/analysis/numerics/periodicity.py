@@ -1,4 +1,4 @@
-"""The period of a disturbance, from what was recorded of it.
+"""The period of a disturbance, from what was recorded of it, and whether disturbances are the same one.
 
 A signal of period P differs from itself P later by noise alone. The mean square of that difference over the power of
 both parts, as far as they overlap, is computed for every lag (by FFT), of all trials together: they may be different
@@ -6,9 +6,10 @@ realisations of one period, and need not hold a whole number of periods.
 """
 
 from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
-from scipy import signal
+from scipy import fft, signal
 
 from armperturb.arrays import Array
 from armperturb.validation import require_number
@@ -28,6 +29,9 @@ what comes before it and after it."""
 
 ROUND_OFF = 1e-6
 """Differences below are none [-]."""
+
+ALIKE = 0.9
+"""Correlation, at the best lag, from which on two signals are the same one [-]."""
 
 OFF_SAMPLE = 0.1
 """Distance of a period from a whole number of samples from which on it is none [sample]."""
@@ -114,3 +118,14 @@ def samples_of_period(period: float, rate: float) -> int:
             f"(it is {samples:.6g}; convert --rate resamples)"
         )
     return round(samples)
+
+
+def are_independent(signals: Sequence[Array]) -> bool:
+    """Whether all signals, (time, axis) each, hold something, and none is another one scaled, turned round or shifted."""
+    sizes = [float(np.linalg.norm(each)) for each in signals]
+    n = fft.next_fast_len(2 * max(map(len, signals)), real=True)
+    spectra = [fft.rfft(each, n, axis=0) for each in signals]
+    return all(sizes) and not any(
+        np.abs(fft.irfft(np.sum(spectra[i].conj() * spectra[j], axis=1), n)).max() > ALIKE * sizes[i] * sizes[j]
+        for i, j in combinations(range(len(signals)), 2)
+    )

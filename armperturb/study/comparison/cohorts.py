@@ -45,15 +45,36 @@ class CohortScores(Result):
             title=f"{len(self.scores)} studies ({people} people) compared with the published tables",
             facts=("share of cells within 0.5, 1 and 2 published SDs [%], and SD ratio: mean (SD over studies)",),
             table=Table(("tables", "0.5 SD", "1 SD", "2 SD", "SD ratio"), tuple(rows)),
+            remarks=self._left_out(),
             details=tuple(line.rstrip() for line in quoted.lines()),
         )
 
+    def _left_out(self) -> tuple[str, ...]:
+        """Which studies have no computed cell of which groups, a line per study."""
+        lines = []
+        for number, score in enumerate(self.scores, start=1):
+            groups = [name for name, of_group in shares(score).items() if _is_group(name) and not of_group.computed]
+            if groups:
+                of = "" if "total" in groups else f" of {'; '.join(groups)}"
+                lines.append(f"study {number} has no computed cell{of}: left out of {'these' if of else 'all'} means")
+            if score.differences:
+                lines.append(
+                    f"study {number} is another experiment than the thesis's: other {', '.join(score.other_settings)}"
+                )
+        return tuple(lines)
+
     def to_frame(self) -> pd.DataFrame:
-        """One row per group of tables and study: shares within each of `LIMITS` [%], and SD ratio [-]."""
+        """One row per group of tables and study: shares within each of `LIMITS` [%], and SD ratio [-].
+
+        NaN where a study has no computed cell of a group.
+        """
         of_each = [shares(score) for score in self.scores]
-        names = [name for name in of_each[0] if "." not in name or " " in name]
+        names = [name for name in of_each[0] if _is_group(name)]
         rows = {
-            (name, study): [*(100.0 * part for part in of_study[name].parts), of_study[name].sd_ratio]
+            (name, study): [
+                *(100.0 * part if of_study[name].computed else math.nan for part in of_study[name].parts),
+                of_study[name].sd_ratio,
+            ]
             for name in names
             for study, of_study in enumerate(of_each)
         }
@@ -72,6 +93,11 @@ class CohortScores(Result):
         from armperturb.plots.scores import plot_scores
 
         return plot_scores(pd.concat([score.to_frame() for score in self.scores]), LIMITS, figure)
+
+
+def _is_group(name: str) -> bool:
+    """Whether a name of `shares` is that of a group of tables, and not of a single one."""
+    return "." not in name or " " in name
 
 
 def _mean_sd(values: Sequence[float]) -> str:

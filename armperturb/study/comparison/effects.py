@@ -134,13 +134,17 @@ class _Tests:
         conditions: Sequence[str],
         printed: str = "",
         printed_pairs: Mapping[tuple[int, int], str] | None = None,
+        level: str = "",
     ) -> float:
-        """Test whether conditions differ, and which; gives p, NaN if it cannot be told."""
+        """Test whether conditions differ, and which; gives p, NaN if it cannot be told.
+
+        The row names the level of the pulses, where one is given.
+        """
         table = self.table(f"{what}, {task}", values, conditions)
         if table is None:
             return math.nan
         effect = statistics.effect_of_condition(table, conditions=conditions)
-        self.rows.append(_row(what, task, ", ".join(conditions), effect, printed))
+        self.rows.append(_row(what, task, ", ".join(conditions) + f" (level {level})" * bool(level), effect, printed))
         for (i, j), pair in statistics.post_hoc(table, conditions=conditions).items():
             self.pairs.append(
                 {
@@ -203,31 +207,40 @@ def effects(study: StudyResult) -> Effects:
             printed = _printed_parameter(name, task) if conditions == AMPLITUDES[task] else ""
             parameters[task, name] = tests.effect(name, task, values, conditions, printed)
 
-    def pulses(quantity: str, of: Sequence[tuple[str, str]]) -> dict[str, list[float]]:
-        return {
-            person.name: [getattr(person.pulses.get(pulse), quantity, math.nan) for pulse in of]
-            for person in study.people
-        }
+    def pulses(quantity: str, what: str, of: Sequence[tuple[str, str]]) -> dict[str, list[float]]:
+        values = {}
+        for person in study.people:
+            values[person.name], lost = _pulse_values(person, quantity, of)
+            if lost:
+                tests.remarks.append(
+                    f"{what}: {person.name} without pulses at {', '.join(f'{each}°' for each in lost)}, which have no "
+                    "peak in some of the compared conditions or levels"
+                )
+        return values
 
     for quantity, of_thesis in (("displacement", PULSED), ("admittance", PULSED), ("prediction", PREDICTED)):
         what = "peak displacement" if quantity == "displacement" else f"pulse {quantity}"
         for task in TASKS:
             pairs = compared_pulses(study, task, predicted=quantity == "prediction")
+            if lost := _lost_pulses(study, task, pairs, predicted=quantity == "prediction"):
+                tests.remarks.append(f"{what}, {task}: {lost}")
             if len(pairs) > 1:
                 compared, as_printed = tuple(condition for condition, _ in pairs), pairs == of_thesis[task]
                 test = PRINTED_TESTS.get((what, task)) if as_printed else None
                 text = published.headline_text(test) if test else ""
                 printed_pairs = _printed_pairs(what, task) if as_printed else {}
-                tests.effect(what, task, pulses(quantity, pairs), compared, text, printed_pairs)
+                values = pulses(quantity, f"{what}, {task}", pairs)
+                tests.effect(what, task, values, compared, text, printed_pairs, level="" if as_printed else pairs[0][1])
     levels = {}
     for condition in study.protocol.conditions:
-        if len([pulse for pulse in study.pulses if pulse[0] == condition.name]) > 1:
-            ends = (max(condition.pulse_levels), min(condition.pulse_levels))
-            names = tuple(map(level_name, ends))
+        if len(measured := measured_levels(study, condition)) > 1:
+            ends = (max(measured), min(measured))
+            names = tuple(level_name(condition.name, end) for end in ends)
             printed = f"p_pulse_admittance_level_{condition.name.lower()}" if _prints(condition.name, names) else ""
+            what = f"pulse admittance, levels of {condition.name}"
             levels[condition.name] = tests.levels(
                 condition,
-                pulses("admittance", [(condition.name, name) for name in names]),
+                pulses("admittance", what, [(condition.name, name) for name in names]),
                 ends,
                 published.headline_text(printed) if printed else "",
             )
@@ -241,24 +254,75 @@ def effects(study: StudyResult) -> Effects:
     )
 
 
+def _pulse_values(
+    person: PersonMeasures, quantity: str, of: Sequence[tuple[str, str]]
+) -> tuple[list[float], list[str]]:
+    """A person's means in some pulses, and the directions [deg] that these leave out.
+
+    Peaks differ between directions: all means are over those in which each of the pulses tells something.
+
+    Args:
+      person: of the study.
+      quantity: a field of `PulseMeans`; of a prediction, a ratio, each mean is over all that was predicted.
+      of: conditions and levels.
+    """
+    means = [person.pulses.get(pulse) for pulse in of]
+    values = [getattr(each, quantity, math.nan) for each in means]
+    there = [set(each.by_direction) for each in means if each is not None]
+    if quantity == "prediction" or not there or all(each == there[0] for each in there):
+        return values, []
+    common = set.intersection(*there)
+    place = ("displacement", "admittance").index(quantity)
+    for number, each in enumerate(means):
+        if each is not None:
+            in_common = [each.by_direction[direction][place] for direction in sorted(common, key=float)]
+            values[number] = float(np.mean(in_common)) if in_common else math.nan
+    return values, sorted(set.union(*there) - common, key=float)
+
+
+def measured_levels(study: StudyResult, condition: Condition) -> set[float]:
+    """Levels of pulses of which as many people as a test needs have a peak; where none is, those of anybody."""
+    n_people = {
+        level: sum((condition.name, level_name(condition.name, level)) in person.pulses for person in study.people)
+        for level in condition.pulse_levels
+    }
+    return {level for level, n in n_people.items() if n >= FEWEST} or {level for level, n in n_people.items() if n}
+
+
 def compared_pulses(study: StudyResult, task: str, *, predicted: bool = False) -> tuple[tuple[str, str], ...]:
     """Condition and level of the pulses that show what the multisine before them does, the smallest movement first.
 
-    They are of the largest level that all conditions of the task with pulses have; none if they have none in common.
+    They are of the largest level that was measured in all conditions of the task with pulses (`measured_levels`); none
+    if there is no such level.
 
     Args:
       study: with measured people.
       task: "PT" or "RT".
       predicted: leave out conditions without a multisine, in which nothing predicts a pulse.
     """
-    pulsed = {condition for condition, _ in study.pulses}
-    conditions = [
-        condition
-        for condition in perturbed_conditions(study, task)
-        if condition.name in pulsed and (condition.has_multisine or not predicted)
-    ]
-    common = set.intersection(*(set(condition.pulse_levels) for condition in conditions)) if conditions else set()
-    return tuple((condition.name, level_name(max(common))) for condition in conditions if common)
+    measured = _measured(study, task, predicted=predicted)
+    common = set.intersection(*measured.values()) if measured else set()
+    names = [name for name in measured if common]
+    return tuple((name, level_name(name, max(common))) for name in names)
+
+
+def _measured(study: StudyResult, task: str, *, predicted: bool) -> dict[str, set[float]]:
+    """Conditions of which a pulse was measured to these levels, the smallest movement first."""
+    conditions = [each for each in perturbed_conditions(study, task) if each.has_multisine or not predicted]
+    measured = {condition.name: measured_levels(study, condition) for condition in conditions}
+    return {name: levels for name, levels in measured.items() if levels}
+
+
+def _lost_pulses(study: StudyResult, task: str, pairs: Sequence[tuple[str, str]], *, predicted: bool) -> str:
+    """What pulses that were not measured do to the comparison of conditions; empty if they do nothing."""
+    conditions = [each for each in perturbed_conditions(study, task) if each.has_multisine or not predicted]
+    planned = [each for each in conditions if each.pulse_levels]
+    if len(planned) < 2 or not study.pulses:
+        return ""
+    if not pairs:
+        return "not tested, as no level of pulses was measured in every condition"
+    gone = [each.name for each in planned if each.name not in dict(pairs)]
+    return f"without {', '.join(gone)}, in which no pulse was measured" if gone else ""
 
 
 def admittance_effect(study: StudyResult, task: str) -> AdmittanceEffect | None:

@@ -40,6 +40,9 @@ if TYPE_CHECKING:
 WITHOUT_PENALTY = ("C.3", "C.4", "C.5", "C.13", "C.14", "C.15")
 """Tables of the first step of appendix C."""
 
+ANOTHER = "This study is another experiment than the thesis's"
+"""What is said of a study whose protocol differs."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class ScoredCell:
@@ -77,12 +80,21 @@ class Score(Result):
       cells: every published one, in the order of the tables.
       headlines: numbers of the running text.
       remarks: what was left out of a cell that was computed, and what of the study is missing; one line each.
+      differences: settings of the protocol that are not the thesis's, so that cells differ for their sake; one text
+        each, with the thesis's value "there" and the study's "now".
     """
 
     people: int
     cells: tuple[ScoredCell, ...]
     headlines: tuple[Headline, ...]
     remarks: tuple[str, ...]
+    differences: tuple[str, ...] = ()
+
+    @property
+    def other_settings(self) -> tuple[str, ...]:
+        """Keys of the protocol and its conditions that differ, each once."""
+        keys = (line.split(" ")[0].rpartition("].")[2].partition("[")[0] for line in self.differences)
+        return tuple(dict.fromkeys(key.partition(".")[0] for key in keys))
 
     def describe(self) -> Description:
         """How many cells of each table are near, the numbers of the running text, and what is missing."""
@@ -99,19 +111,23 @@ class Score(Result):
         within = {name: near.parts_of_computed[1] for name, near in each.items() if near.computed}
         details = [
             *ceiling_lines(self.people),
-            *causes(within, self.people),
+            *([] if self.differences else causes(within, self.people)),
             "",
             *(line.rstrip() for line in quoted.lines()),
         ]
         if against := [line for line in self.headlines if line.contradiction]:
             details += ["", "numbers of the text that other printed numbers contradict:"]
             details += [f"  {line.name}: {line.contradiction}" for line in against]
+        if self.differences:
+            details += ["", "settings that differ, of the thesis there and of this study now:"]
+            details += [f"  {line}" for line in self.differences]
         if missing := missing_cells(self):
             details += ["", "cells that could not be computed:"]
             details += [f"  {where}: {n} cells: {reason}" for (reason, where), n in missing.items()]
         return Description(
             title=f"{self.people} {'person' if self.people == 1 else 'people'} compared with the published tables",
             facts=(
+                *([f"{ANOTHER}: other {', '.join(self.other_settings)} (below)"] if self.differences else []),
                 "cells whose mean is within 0.5, 1 and 2 published SDs; SD ratio: between people, ours / published",
             ),
             table=Table(("table", "cells", "0.5 SD", "1 SD", "2 SD", "SD ratio"), tuple(rows)),
@@ -203,6 +219,7 @@ def score(study: StudyResult) -> Score:
         cells=(*_measured_cells(study.people), *fitted_cells(study.appendices, study.people)),
         headlines=headlines(study.people),
         remarks=(*study.missing, *study.remarks, *_diverged(study.appendices)),
+        differences=study.unlike_thesis,
     )
 
 

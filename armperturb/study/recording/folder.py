@@ -169,7 +169,7 @@ def find_recordings(root: Path) -> tuple[list[Path], list[str]]:
       root: the folder.
 
     Returns:
-      Their paths in the order of their names, and one line for each that is damaged.
+      Their paths in the order of their names, and one line for each that is damaged or has no checksum.
 
     Raises:
       OSError: there is no recording.
@@ -183,7 +183,9 @@ def find_recordings(root: Path) -> tuple[list[Path], list[str]]:
         )
     whole, remarks = [], []
     for path in paths:
-        if sums and sums.get(path.stem) != checksum(path):
+        if sums and path.stem not in sums:
+            remarks.append(f"{path.name} is not among the checksums of the study ({RECORDINGS}/{SUMS}); it is left out")
+        elif sums and sums[path.stem] != checksum(path):
             remarks.append(f"{path.name} does not match its checksum; it is left out")
         else:
             whole.append(path)

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
+from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.cohort import Person
 from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
@@ -38,6 +39,9 @@ from armperturb.workers import LOG, Workers, completed, cpu_count, require_worke
 
 PROGRESS_INTERVAL = 0.2
 """Time between two reports of a worker's progress [s]."""
+
+MOST_NAMED = 5
+"""How many of the people who are unstable an error names."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,7 +101,8 @@ def record_study(
 
     Raises:
       TypeError: a setting has the wrong type.
-      ValueError: a setting is out of its range, or the folder was made with other settings.
+      ValueError: a setting is out of its range, a condition makes somebody unstable, or the folder was made with other
+        settings.
       RuntimeError: another run is at work in the folder, workers die again and again, or Dask is not installed.
       OSError: a file cannot be read or written, or no Dask scheduler answers.
     """
@@ -106,6 +111,7 @@ def record_study(
     require_workers("study", workers)
     protocol = settings.load_protocol()
     people = settings.draw_people(Environment())
+    _require_stable(people, protocol)
     names = [person.name for person in people]
     with open_study(Path(out), Manifest.of(people, protocol, settings).to_dict()) as folder:
         done, damaged = folder.check(names)
@@ -125,6 +131,31 @@ def record_study(
                         staged = content if isinstance(content, Path) else _stage(content, folder.staging, file.name)
                         folder.keep(file.name, staged, file.sha256)
         return [folder.recording(name) for name in names]
+
+
+def _require_stable(people: Sequence[Person], protocol: Protocol) -> None:
+    """Refuse conditions in which somebody is unstable, before anybody practises.
+
+    People are drawn stable at their own levels with a shoulder that is held: others have to be looked at.
+
+    Raises:
+      ValueError: there is such a condition.
+    """
+    strap = protocol.strap
+    for condition in protocol.conditions:
+        if condition.co_contraction == 1.0 and strap is None:
+            continue
+        poles = {p.name: largest_real_pole(condition.subject_of(p), Environment(), strap) for p in people}
+        unstable = [name for name, pole in poles.items() if not pole < 0.0]
+        if unstable:
+            more = ", ..." if len(unstable) > MOST_NAMED else ""
+            remedies = ["a level nearer to 1"] * (condition.co_contraction != 1.0) + ["another strap"] * bool(strap)
+            raise ValueError(
+                f"condition {condition.name!r}: co_contraction = {condition.co_contraction:g} makes {len(unstable)} of "
+                f"{len(people)} people unstable on the manipulator{' and the strap' if strap else ''} "
+                f"({', '.join(unstable[:MOST_NAMED])}{more}); "
+                f"expected {' or '.join([*remedies, 'other people (--seed, --muscles)'])}"
+            )
 
 
 def worker_count(workers: int | None, n_subjects: int) -> int:

@@ -14,7 +14,7 @@ from armperturb.study.experiments.mechanisms import AMPLITUDES, ONE_LEVEL, Yield
 from armperturb.study.protocol import Condition
 from armperturb.study.report.tables import Row
 from armperturb.study.results.cases import Case
-from armperturb.study.results.mean_admittance import by_task, main_conditions, perturbed_conditions
+from armperturb.study.results.mean_admittance import by_task, main_conditions, movement, perturbed_conditions
 from armperturb.study.results.study_result import StudyResult
 from armperturb.study.results.trial_measures import N_LOW
 from armperturb.subject import TASKS
@@ -136,8 +136,9 @@ def findings(study: StudyResult) -> dict[str, Finding]:
     """Those that a study allows, by name.
 
     `tasks` is the low-frequency gain in the relax over that in the position task, of the conditions with most trials;
-    `amplitude_PT` and `amplitude_RT` that of the largest over that of the smallest movement of a task; `excess` the
-    recorded over the predicted peak after a pulse, geometric mean over the conditions that a person has.
+    `amplitude_PT` and `amplitude_RT` that of the largest over that of the smallest movement of a task, or, if all are
+    to be as large, `condition_PT` and `condition_RT` that of the highest over that of the lowest co-contraction;
+    `excess` the recorded over the predicted peak after a pulse, geometric mean over the conditions that a person has.
     """
     ratios: list[Finding | None] = []
     main = main_conditions(study)
@@ -145,7 +146,9 @@ def findings(study: StudyResult) -> dict[str, Finding]:
         ratios.append(_ratio(study, "tasks", main["RT"].name, main["PT"].name))
     for task, conditions in by_task(study).items():
         if len(conditions) > 1:
-            ratios.append(_ratio(study, f"amplitude_{task}", conditions[-1].name, conditions[0].name))
+            below, *_, above = conditions
+            kind = "amplitude" if movement(above) > movement(below) else "condition"
+            ratios.append(_ratio(study, f"{kind}_{task}", above.name, below.name))
     of_pulses = [excess.values for excess in excesses(study)]
     values = {}
     for person in study.people:
@@ -156,17 +159,31 @@ def findings(study: StudyResult) -> dict[str, Finding]:
 
 
 def fall_is_given(study: StudyResult, finding: Finding | None) -> bool:
-    """Whether admittance falls between conditions in which people's calibrated levels of co-contraction differ.
+    """Whether admittance falls between conditions in which only people's calibrated levels of co-contraction differ.
 
     Args:
       study: of which it is.
       finding: `amplitude_PT`, if there is one.
     """
-    if finding is None or finding.mean >= 1.0:
+    if finding is None or finding.mean >= 1.0 or set_levels(study, finding):
         return False
     return any(
         person.levels.get(finding.above, 1.0) != person.levels.get(finding.below, 1.0) for person in study.cohort
     )
+
+
+def set_levels(study: StudyResult, finding: Finding | None) -> tuple[float, float] | tuple[()]:
+    """Co-contraction that the protocol sets below and above [multiple of people's own]; nothing where it is the same.
+
+    Args:
+      study: of which it is.
+      finding: `amplitude_PT` or `condition_PT`, if there is one.
+    """
+    if finding is None:
+        return ()
+    levels = {condition.name: condition.co_contraction for condition in study.protocol.conditions}
+    below, above = levels.get(finding.below, 1.0), levels.get(finding.above, 1.0)
+    return () if below == above else (below, above)
 
 
 def finding_rows(results: dict[str, Finding]) -> list[Row]:

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 
 from armperturb.analysis.fit.maximum_likelihood import SUSPICIOUS
+from armperturb.analysis.measures.statistics import FEWEST
 from armperturb.pages.formats import digits, fixed
 from armperturb.study.comparison.ceiling import OF_PRINTED_ARMS, causes, replicate_share
 from armperturb.study.comparison.effects import Effects
 from armperturb.study.comparison.elastic_limits import NAMES, elastic_rows
 from armperturb.study.comparison.headlines import Headline
-from armperturb.study.comparison.score import Score, Share, missing_cells, shares
+from armperturb.study.comparison.score import ANOTHER, Score, Share, missing_cells, shares
 from armperturb.study.experiments.mechanisms import PULSES, Yielding
 from armperturb.study.experiments.moving_shoulder import MovingShoulder
 from armperturb.study.published import tables as published
@@ -26,9 +27,10 @@ from armperturb.study.report.nonlinear_tables import SHOWN_MODELS, nonlinear_tab
 from armperturb.study.report.published_tables import published_tables
 from armperturb.study.report.tables import Row, mean_sd_of
 from armperturb.study.report.words import WORDS
-from armperturb.study.results.mean_admittance import main_conditions
+from armperturb.study.results.mean_admittance import by_task, differ_in_amplitude, main_conditions, perturbed_conditions
 from armperturb.study.results.quantities import Cell, published_cells
 from armperturb.study.results.study_result import StudyResult
+from armperturb.subject import TASKS
 
 NEAR = 0.15
 """A headline number this close to the published one is near [-]."""
@@ -80,6 +82,7 @@ def sections(
             "lost_pulses": lost_pulses(study),
             "alone": alone,
             "given": of_study.fall_is_given(study, ratios.get("amplitude_PT")),
+            "set_levels": of_study.set_levels(study, ratios.get("amplitude_PT") or ratios.get("condition_PT")),
             "relaxation": relaxation(study),
             "fits": rows["fits"],
             **flagged,
@@ -94,7 +97,8 @@ def sections(
         "left_out": {"lists": left_out(study, rows["fits"], study.remarks if score is None else score.remarks)},
     }
     if study.conditions:
-        contexts["admittance"] = {"effects": effects, "findings": ratios}
+        amplitudes = {task: differ_in_amplitude(of_task) for task, of_task in by_task(study).items()}
+        contexts["admittance"] = {"effects": effects, "findings": ratios, "amplitudes": amplitudes}
         contexts["fits"] = {"summary": rows["summary"], "rows": rows["fits"], "remarks": remarks(study), **flagged}
         contexts["parameters"] = {
             "rows": rows["parameters_summary"],
@@ -106,6 +110,11 @@ def sections(
         contexts["pulses"] = {
             "findings": ratios,
             "excess": of_study.excess_rows(study),
+            "lost": sum(
+                trial.pulse_level != 0.0 and math.isnan(trial.displacement)
+                for person in study.people
+                for trial in person.trials
+            ),
             "ratio_is_published": any(ratio_is_published(each.name, each.pulse_levels) for each in conditions),
             # But for p values, which the statistics have.
             "headlines": score
@@ -115,11 +124,13 @@ def sections(
         contexts["emg"] = emg_section(study)
     if study.nonlinear:
         contexts["nonlinear"] = _nonlinear(study)
-    if effects.rows or effects.admittance:
-        contexts["statistics"] = {"effects": effects}
+    if effects.rows or effects.admittance or (effects.remarks and len(study.names) >= FEWEST):
+        of_amplitude = all(differ_in_amplitude(perturbed_conditions(study, task)) for task in TASKS)
+        contexts["statistics"] = {"effects": effects, "of_amplitude": of_amplitude}
     if (joints := joint_rows(study)) or score is not None or "joint_rotations" in drawn:
         contexts["kinematics"] = {
             "joints": joints,
+            "has_truth": any(person.true_cells for person in study.people),
             "limits": elastic_rows(_means(study)),
             "printed_limits": elastic_rows({cell: printed.mean for cell, printed in published_cells().items()}),
             "shoulder": shoulder,
@@ -138,6 +149,7 @@ def sections(
             "tables": published_tables(score),
             "score": score,
             "missing": missing_cells(score),
+            "another": ANOTHER,
             **_agreement(score),
         }
     return {template: contexts[template] for template in WORDS["sections"] if template in contexts}
@@ -191,8 +203,8 @@ def joint_rows(study: StudyResult) -> list[Row]:
     """Joint rotations and velocities from the handle's path, and as simulated, beside the printed ones, SI."""
     rows = []
     recorded = [cell for person in study.people for cell in person.cells]
-    unprinted = [c.name for c in study.protocol.conditions if c.name not in published.conditions()]
-    others = [cell for name in unprinted for cell in dict.fromkeys(recorded) if cell.condition == name]
+    unprinted = [cell for cell in dict.fromkeys(recorded) if cell not in published_cells()]
+    others = [cell for each in study.protocol.conditions for cell in unprinted if cell.condition == each.name]
     for cell in sorted((*published_cells(), *others), key=lambda cell: cell.table):
         if not cell.table.startswith("F"):
             continue
@@ -266,7 +278,8 @@ def _differs(score: Score, factors: list[Row], every: Mapping[str, Share]) -> li
     if far:
         worst = ", ".join(f"{name} ({100.0 * part:.0f}\u00a0%)" for part, name in far[:MOST_NAMED])
         lines.append(f"less than half of the cells within 1 SD: {len(far)} of {len(of_tables)} tables, least {worst}")
-    lines += causes({name: within[name] for name in WORDS["groups"] if name in within}, score.people)
+    if not score.differences:  # else neither people nor print are the cause
+        lines += causes({name: within[name] for name in WORDS["groups"] if name in within}, score.people)
     lacking = sum(missing_cells(score).values())
     if lacking:
         lines.append(

@@ -3,7 +3,6 @@
 import itertools
 import os
 import shlex
-from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
@@ -18,7 +17,7 @@ from armperturb.environment import Environment
 from armperturb.files import checksum
 from armperturb.progress import Progress
 from armperturb.recording_files import load_recording
-from armperturb.study.protocol import THESIS, Protocol
+from armperturb.study.protocol import Protocol
 from armperturb.study.recording.folder import ANALYSIS, RECORDINGS, find_recordings, require_own_results
 from armperturb.study.recording.manifest import Manifest, current_versions, read_manifest
 from armperturb.study.recording.record import record_study, worker_count
@@ -27,6 +26,7 @@ from armperturb.study.results.appendix_fits import Appendices, Key, SecondStep, 
 from armperturb.study.results.cache import CachedResult, Unit, computed, kept_or_computed, reusable
 from armperturb.study.results.cases import Case, warn_of_short_multisines
 from armperturb.study.results.emg import PersonEmg, person_emg
+from armperturb.study.results.laboratory import recorded_protocol
 from armperturb.study.results.mean_admittance import main_conditions
 from armperturb.study.results.nonlinear_fits import NonlinearFit, fit_nonlinear
 from armperturb.study.results.person import PersonResults, analyse_person
@@ -82,7 +82,8 @@ def analyse_study(
     """Analyse the recordings in a study folder; results of an earlier call are used again, see `results.cache`.
 
     A folder that is incomplete, or was made by another version, is analysed as far as it goes. Without a manifest, its
-    conditions are taken to be those of the thesis's that have the same names, and nothing is known of the people.
+    conditions are taken to be those of the thesis's that have the same names, with the pulses that were recorded, and
+    nothing is known of the people.
 
     Args:
       root: the folder.
@@ -203,7 +204,7 @@ class _Study:
             lacking = made.subjects - len(paths)
             line = f"the study is incomplete: {lacking} of {made.subjects} people have no whole recording"
             missing.append(line + named)
-        protocol, recorded = (made.protocol, {}) if made else _recorded(root, paths, missing)
+        protocol, recorded = (made.protocol, {}) if made else recorded_protocol(root, paths, missing)
         study = cls(
             root=root,
             settings=settings,
@@ -359,25 +360,6 @@ def _manifest(root: Path, missing: list[str]) -> Manifest | None:
         if others:
             missing.append(f"the recordings were made with other versions: {'; '.join(others)}")
     return made
-
-
-def _recorded(root: Path, paths: Sequence[Path], missing: list[str]) -> tuple[Protocol, dict[str, int]]:
-    """Conditions of the thesis that recordings of an unknown study hold, and how many trials of each."""
-    counts = Counter(name for path in paths for name in load_recording(path, [])["condition"].values.tolist())
-    conditions = tuple(condition for condition in THESIS.conditions if condition.name in counts)
-    others = ", ".join(name for name in counts if name not in {condition.name for condition in conditions})
-    if not conditions:
-        raise ValueError(
-            f"{root}: no manifest.json, and condition = {others}; expected the folder of a study, or conditions of the "
-            f"thesis (recordings of a laboratory: armperturb identify {root / RECORDINGS}/*.nc --out DIR)"
-        )
-    missing.append("how the recordings were made is not known: conditions are those of the thesis of the same names")
-    if others:
-        missing.append(f"conditions that the thesis lacks are left out: {others}")
-    unit = THESIS.pulse_unit_condition
-    known = {condition.name for condition in conditions}
-    protocol = replace(THESIS, conditions=conditions, pulse_unit_condition=unit if unit in known else "")
-    return protocol, {condition.name: counts[condition.name] for condition in conditions}
 
 
 def _main_cases(study: StudyResult) -> list[Case]:

@@ -36,15 +36,15 @@ LOG = logging.getLogger(__name__)
 Result = TypeVar("Result")
 
 VERSIONS = {
-    "person": 4,
-    "step-2": 4,
+    "person": 5,
+    "step-2": 5,
     "nonlinear": 4,
     "mechanisms": 1,
     "moving-shoulder": 2,
     "figure": 1,
     "played": 1,
     "films": 1,
-    "emg": 10,
+    "emg": 11,
 }
 """Kind of result to the version of its algorithm.
 

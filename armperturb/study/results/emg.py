@@ -154,7 +154,7 @@ def person_emg(name: str, path: Path, shown: Condition | None = None, contractio
     """
     recording = load_recording(path, ["emg", "joint_angle"])
     try:
-        amplitudes = envelopes(recording)
+        amplitudes = envelopes(recording, contractions=tuple(contractions))
     except ValueError as error:
         return PersonEmg(name=name, remarks=(f"{name}: {error}",))
     of_muscles = activity(amplitudes)

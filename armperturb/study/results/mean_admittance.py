@@ -1,5 +1,6 @@
 """Admittance of a condition over its subjects."""
 
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -19,9 +20,23 @@ def by_task(study: StudyResult) -> dict[str, list[Condition]]:
 
 
 def perturbed_conditions(study: StudyResult, task: str) -> list[Condition]:
-    """The protocol's conditions of a task with a perturbation, the smallest displacement under the multisine first."""
+    """The protocol's conditions of a task with a perturbation, the smallest displacement under the multisine first.
+
+    Those of the same displacement are in the order of their co-contraction, the lowest first.
+    """
     present = [c for c in study.protocol.conditions if c.task == task and c.contraction is None]
-    return sorted(present, key=lambda condition: condition.rms_displacement * condition.reached)
+    return sorted(present, key=lambda condition: (movement(condition), condition.co_contraction))
+
+
+def movement(condition: Condition) -> float:
+    """RMS displacement that people reach under the multisine of a condition, as the protocol has it [m]."""
+    return condition.rms_displacement * condition.reached
+
+
+def differ_in_amplitude(conditions: Collection[Condition]) -> bool:
+    """Whether conditions of a task differ in the amplitude of their movement and not in co-contraction."""
+    n_movements, n_levels = len(set(map(movement, conditions))), len({each.co_contraction for each in conditions})
+    return n_movements == len(conditions) and n_levels <= 1
 
 
 def main_conditions(study: StudyResult) -> dict[str, Condition]:

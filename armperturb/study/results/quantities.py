@@ -20,7 +20,8 @@ a sign, negative at 20 deg and positive at 200 deg from the x axis (note d of ta
 pulse unit of table 2.1 is no cell: it is ten times the force of PT7.5.
 
 A condition that the thesis does not have fills cells likewise, of what was recorded: of a multisine if the handle is
-perturbed in its window, and of each level of its pulses. No published value stands beside them.
+perturbed in its window, and of each level of its pulses, by its number. So does a level that the thesis does not have
+in one of its conditions, but for table F.6. No published value stands beside them.
 """
 
 import functools
@@ -84,9 +85,15 @@ class Measured(NamedTuple):
     left_out: tuple[str, ...]
 
 
-def level_name(level: float) -> str:
-    """What a level of pulses, a multiple of the unit, is called in tables: "min" (1), "max" (2), or the number."""
-    return next((name for name, value in PULSE_LEVELS.items() if value == level), f"{level:g}")
+def level_name(condition: str, level: float) -> str:
+    """What a level of pulses is called in tables: "min" (1) or "max" (2) in conditions of the thesis, else the number.
+
+    Args:
+      condition: of the pulses.
+      level: multiple of the unit.
+    """
+    names = PULSE_LEVELS if condition in published.conditions() else {}
+    return next((name for name, value in names.items() if value == level), f"{level:g}")
 
 
 @functools.cache
@@ -155,22 +162,23 @@ def measure(
         if published.has_multisine(condition) if of_thesis else _is_perturbed(inside, trial, window):
             parts.append(partial(_multisine_values, path, trial, window))
         if has_pulse and not of_thesis:
-            levels.setdefault(condition, set()).add(level_name(abs(float(inside["pulse_level"].values[trial]))))
-        if has_pulse and (published.pulse_levels(condition) or not of_thesis):
+            levels.setdefault(condition, set()).add(_level_of(inside, trial))
+        if has_pulse:
             parts.append(partial(_pulse_values, path, trial))
         for part in parts:
             try:
                 values = list(part())
             except ValueError as error:
-                left_out.append(str(error))
+                left_out.append(f"{error} ({_where(inside, trial)})")
                 continue
+            of_print = of_thesis and (not has_pulse or _level_of(inside, trial) in published.pulse_levels(condition))
             for cell, kind, value in values:
+                if of_print and cell not in published_cells():
+                    continue
                 pools.setdefault(cell, {}).setdefault(kind, []).append(value)
     cells = {}
     for cell in dict.fromkeys((*published_cells(), *pools)):
         kinds = pools.get(cell, {})
-        if cell not in published_cells() and cell.condition in published.conditions():
-            continue
         # Without one of its levels a cell would not mean what the thesis's does: a level more makes peaks larger.
         all_levels = levels.get(cell.condition, published.pulse_levels(cell.condition))
         missing = set(all_levels if cell.table == "F.6" else ()) - kinds.keys()
@@ -180,6 +188,18 @@ def measure(
         elif kinds:
             left_out.append(f"{cell.table}, {cell.condition}, {cell.quantity}: no trial of level {', '.join(missing)}")
     return Measured(cells, tuple(left_out))
+
+
+def _level_of(recording: xr.Dataset, trial: int) -> str:
+    """Name of the level of a trial's pulse, whatever its sign."""
+    return level_name(str(recording["condition"].values[trial]), abs(float(recording["pulse_level"].values[trial])))
+
+
+def _where(recording: xr.Dataset, trial: int) -> str:
+    """Condition of a trial, and the direction of its pulse if it has any."""
+    direction = float(recording["pulse_direction"].values[trial])
+    pulse = "" if math.isnan(direction) else f", pulse at {direction:g}°"
+    return f"{recording['condition'].values[trial]}{pulse}"
 
 
 _Value = tuple[Cell, str, float]
@@ -209,7 +229,8 @@ def _cut_at_limits(recording: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
         if beyond[trial].any():
             time = int(np.argmax(beyond[trial])) / rate
             if not limit_time[trial] <= time:
-                left_out.append(f"trial {trial}: the handle is out of the arm's reach at {time:.3f} s")
+                where = _where(recording, trial)
+                left_out.append(f"trial {trial}: the handle is out of the arm's reach at {time:.3f} s ({where})")
                 limit_time[trial] = time
         if np.isfinite(limit_time[trial]):
             last = max(_first_sample_from(limit_time[trial], rate) - 1, 0)
@@ -261,12 +282,8 @@ def _multisine_values(path: _Path, trial: int, window: slice) -> Iterator[_Value
 def _pulse_values(path: _Path, trial: int) -> Iterator[_Value]:
     recording = path.recording
     window = pulse_span(recording, trial)
-    condition, level = str(recording["condition"].values[trial]), abs(float(recording["pulse_level"].values[trial]))
-    named = level_name(level)
-    if condition in published.conditions() and named not in PULSE_LEVELS:
-        raise ValueError(
-            f"trial {trial}: pulse_level = {level:g}; expected one of {', '.join(map(str, PULSE_LEVELS.values()))}"
-        )
+    condition, named = str(recording["condition"].values[trial]), _level_of(recording, trial)
+    printed = published.pulse_levels(condition)
     angle = float(recording["pulse_direction"].values[trial])
     side = next((name for name, of in DIRECTIONS.items() if abs((angle - of + 180.0) % 360.0 - 180.0) <= NEAR), None)
     direction = side or f"{angle % 360.0:.0f}"
@@ -276,5 +293,5 @@ def _pulse_values(path: _Path, trial: int) -> Iterator[_Value]:
         velocity, rotation = (float(np.abs(of[trial, window, index]).max()) for of in (path.velocity, path.rotation))
         yield Cell("F.3", condition, f"peak_velocity_{named}_{joint}"), direction, velocity
         yield Cell("F.5", condition, f"peak_rotation_{named}_{joint}"), direction, rotation
-        if side:
+        if side and (not printed or named in printed):  # else table F.6 would pool a level that the thesis has not
             yield Cell("F.6", condition, f"peak_rotation_{side}_{joint}"), named, rotation

@@ -13,7 +13,8 @@ import xarray as xr
 from armperturb.analysis import results
 from armperturb.cohort import Person
 from armperturb.environment import Environment
-from armperturb.study.protocol import Condition, Protocol
+from armperturb.study.protocol import THESIS, Condition, Protocol
+from armperturb.study.recording.folder import differences
 from armperturb.study.recording.manifest import Manifest
 from armperturb.study.results.appendix_fits import Appendices
 from armperturb.study.results.cases import Case
@@ -146,6 +147,17 @@ class StudyResult(results.Result):
         return self.made is not None and self.made.ideal
 
     @cached_property
+    def unlike_thesis(self) -> tuple[str, ...]:
+        """What the protocol does otherwise than the thesis's (there), in conditions of both; empty if unknown."""
+        if self.made is None:
+            return ()
+        there, now = THESIS.to_dict(), self.protocol.to_dict()
+        recorded = {condition["name"]: condition for condition in now["conditions"]}
+        there["conditions"] = [each for each in there["conditions"] if each["name"] in recorded]
+        now["conditions"] = [recorded[each["name"]] for each in there["conditions"]]
+        return tuple(differences(there, now))
+
+    @cached_property
     def conditions(self) -> tuple[Condition, ...]:
         """Conditions in which somebody was identified, in the protocol's order."""
         return tuple(condition for condition in self.protocol.conditions if self.of(condition.name))
@@ -160,7 +172,10 @@ class StudyResult(results.Result):
             pulse
             for condition in self.protocol.conditions
             for level in sorted(condition.pulse_levels)
-            if any((pulse := (condition.name, level_name(level))) in person.pulses for person in self.people)
+            if any(
+                (pulse := (condition.name, level_name(condition.name, level))) in person.pulses
+                for person in self.people
+            )
         )
 
     def n_trials(self, condition: str) -> int:

@@ -64,11 +64,12 @@ class PulseMeans(NamedTuple):
     """A person's responses to the pulses of a condition and level, as means over trials.
 
     Attributes:
-      displacement: peak [m].
-      admittance: pulse admittance [m/N].
+      displacement: peak [m], mean over the trials of each direction, then over directions.
+      admittance: pulse admittance [m/N], likewise.
       prediction: predicted over recorded peak displacement, of the linear model [%]; NaN if there is no model.
       excess: recorded over predicted peak displacement, of the linear model [-]; likewise.
       prediction_skeletal: predicted over recorded peak displacement, of the nonlinear skeletal model [%]; likewise.
+      by_direction: direction, in whole degrees from the x axis as text, to displacement [m] and admittance [m/N] in it.
     """
 
     displacement: float
@@ -76,6 +77,7 @@ class PulseMeans(NamedTuple):
     prediction: float
     excess: float
     prediction_skeletal: float
+    by_direction: Mapping[str, tuple[float, float]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -113,7 +115,7 @@ class PersonMeasures:
                 of_level = of_condition.setdefault(trial.condition, {})
                 of_level.setdefault(abs(trial.pulse_level), []).append(trial)
         return {
-            (condition, level_name(level)): _pulse_means(its)
+            (condition, level_name(condition, level)): _pulse_means(its)
             for condition, of_level in of_condition.items()
             for level, its in sorted(of_level.items())
         }
@@ -268,10 +270,18 @@ def _pulse_means(trials: list[TrialMeasures]) -> PulseMeans:
 
     linear = known([trial.predicted_linear for trial in trials])
     skeletal = known([trial.predicted_skeletal for trial in trials])
+    measured = np.array([(trial.displacement, trial.admittance) for trial in trials])
+    directions = np.array([f"{round(trial.pulse_direction_deg, 0) % 360.0:g}" for trial in trials])
+    of_direction = {str(each): measured[directions == each] for each in dict.fromkeys(directions)}
+    by_direction = {each: its.mean(axis=0) for each, its in of_direction.items()}
+    # Of equally many trials the mean over all is the same, and does not depend on how they are grouped.
+    is_even = len(set(map(len, of_direction.values()))) == 1
+    peak, admittance = (measured if is_even else np.array(list(by_direction.values()))).T.mean(axis=1).tolist()
     return PulseMeans(
-        displacement=float(displacement.mean()),
-        admittance=float(np.mean([trial.admittance for trial in trials])),
+        displacement=peak,
+        admittance=admittance,
         prediction=100.0 * float(linear.mean()) if len(linear) else math.nan,
         excess=float((1.0 / linear).mean()) if len(linear) else math.nan,
         prediction_skeletal=100.0 * float(skeletal.mean()) if len(skeletal) else math.nan,
+        by_direction={direction: (float(peak), float(ratio)) for direction, (peak, ratio) in by_direction.items()},
     )

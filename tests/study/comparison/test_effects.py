@@ -147,6 +147,81 @@ def test_whoever_lacks_a_condition_is_left_out_by_name(people, tested):
     assert any("without S01, who has no value in PT2.5" in line for line in found.remarks)
 
 
+def test_pulses_are_compared_over_the_directions_that_a_person_has_in_all_conditions(people):
+    def both_ways(trials, lost=""):
+        """Each trial at 20 degrees, and one that goes twice as far at 200, which one condition may have lost."""
+        for t in trials:
+            yield t
+            gone = math.nan if t.condition == lost else 1.0
+            yield t._replace(pulse_direction_deg=200.0, displacement=2.0 * gone * t.displacement, force=gone * t.force)
+
+    def tested_of(lost):
+        whole = [replace(each, trials=tuple(both_ways(each.trials))) for each in people[1:]]
+        first = replace(people[0], trials=tuple(both_ways(people[0].trials, lost)))
+        return first, effects(study_of((first, *whole)))
+
+    first, lacking = tested_of("PT2.5")
+    _, complete = tested_of("")
+    means = first.pulses["PT7.5", "max"]
+    assert means.displacement == pytest.approx(np.mean([peak for peak, _ in means.by_direction.values()]))
+    wanted = {"quantity": "peak displacement", "task": "PT", "first": "PT7.5", "second": "PT22.5"}
+    one_way = first.pulses["PT7.5", "max"].by_direction["20"][0] - first.pulses["PT22.5", "max"].by_direction["20"][0]
+    # 1.5 times as far on average over both directions as in the first alone.
+    change = row(complete.pairs, **wanted)["difference"] - row(lacking.pairs, **wanted)["difference"]
+    assert change == pytest.approx(0.5 * one_way / 5)
+    said = [line for line in lacking.remarks if line not in complete.remarks]
+    assert [line.split(",")[0] for line in said] == ["peak displacement", "pulse admittance"]
+    assert all("PT: S01 without pulses at 200°, which have no peak" in line for line in said)
+    assert row(lacking.rows, quantity="peak displacement", task="PT")["people"] == 5
+
+
+def test_a_direction_counts_once_however_many_trials_it_has(people):
+    trial = next(t for t in people[0].trials if t.condition == "RT0")._replace(displacement=0.1, force=50.0)
+    far = trial._replace(pulse_direction_deg=-160.0, displacement=0.4)
+    means = replace(people[0], trials=(trial, trial, far)).pulses["RT0", "min"]
+    assert (means.displacement, means.admittance) == pytest.approx((0.25, 0.005))
+    assert means.by_direction.keys() == {"20", "200"}
+
+
+def without_peaks(people, lost):
+    """These people, of whose trials some have no peak."""
+    return tuple(
+        replace(
+            each,
+            trials=tuple(
+                t._replace(displacement=math.nan, force=math.nan) if lost(each, t) else t for t in each.trials
+            ),
+        )
+        for each in people
+    )
+
+
+def test_levels_that_nobody_has_peaks_of_do_not_end_the_tests(people):
+    own = renamed(study_of(people))
+    both = tuple(
+        replace(each, pulse_levels=(1.5, 3.0)) if each.name[4:] in ("PT0", "PT7.5") else each
+        for each in own.protocol.conditions
+        if each.name[4:] in ("PT0", "PT7.5")
+    )
+    own = replace(own, protocol=replace(own.protocol, conditions=both, pulse_unit_condition=""))
+    compared = "own PT0, own PT7.5 (level {})"
+    assert row(effects(own).rows, quantity="peak displacement", conditions=compared.format(3))
+    # Of two people out of five the largest level is too little for a test.
+    few = without_peaks(own.people, lambda each, t: abs(t.pulse_level) == 3.0 and each.name not in ("S01", "S02"))
+    found = effects(replace(own, people=few))
+    assert row(found.rows, quantity="peak displacement", conditions=compared.format(1.5))["people"] == 5
+    assert found.levels == {}
+    gone = without_peaks(own.people, lambda _, t: abs(t.pulse_level) == (3.0 if t.condition == "own PT0" else 1.5))
+    found = effects(replace(own, people=gone))
+    assert "peak displacement, PT: not tested, as no level of pulses was measured in every condition" in found.remarks
+
+
+def test_a_condition_of_which_no_pulse_was_measured_is_named(people):
+    lost = effects(study_of(without_peaks(people, lambda _, t: t.condition == "PT2.5")))
+    assert "peak displacement, PT: without PT2.5, in which no pulse was measured" in lost.remarks
+    assert row(lost.rows, quantity="peak displacement", task="PT")["conditions"] == "PT0, PT7.5, PT22.5 (level max)"
+
+
 def test_too_few_people_are_told():
     found = effects(study_of(people_of(("S01", "S02"))))
     assert found.rows == ()

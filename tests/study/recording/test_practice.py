@@ -16,6 +16,7 @@ from armperturb.perturbations import Multisine
 from armperturb.seeds import trial_seed
 from armperturb.study.protocol import PULSE_UNIT, THESIS
 from armperturb.study.recording import practice
+from armperturb.study.recording import record as runner
 from armperturb.study.recording.practice import (
     MAX_ROUNDS,
     TOLERANCE,
@@ -25,6 +26,8 @@ from armperturb.study.recording.practice import (
     practice_multisine,
     practise,
 )
+from armperturb.study.recording.record import record_study
+from tests.recorded import PROTOCOL
 
 AS_INTENDED = replace(
     THESIS, conditions=tuple(replace(condition, reached=1.0, reached_spread=0.0) for condition in THESIS.conditions)
@@ -283,3 +286,17 @@ def test_the_step_hardly_matters(monkeypatch):
     monkeypatch.setattr(practice, "PERIOD", 3.0)
     quick, fine = (measured_displacement(trials, Environment(), timestep=step) for step in (TIMESTEP, 1e-3))
     np.testing.assert_allclose(quick, fine, rtol=practice.AIM / 2)
+
+
+def test_a_level_at_which_people_are_unstable_is_refused_before_practice(settings, tmp_path, monkeypatch):
+    monkeypatch.setattr(runner, "practise", None)
+    text = PROTOCOL.replace('"published"', '"practice"').replace('task = "PT"', 'task = "PT"\nco_contraction = 2.5')
+    (tmp_path / "strong.toml").write_text(text)
+    strong = replace(settings, protocol=tmp_path / "strong.toml")
+    expected = (
+        r"^condition 'PT2\.5': co_contraction = 2\.5 makes \d of 4 people unstable on the manipulator \(S0.*\); "
+        r"expected a level nearer to 1 or other people \(--seed, --muscles\)$"
+    )
+    with pytest.raises(ValueError, match=expected):
+        record_study(strong, tmp_path / "s", show_progress=False)
+    assert not (tmp_path / "s").exists()

@@ -1,12 +1,15 @@
 """Figures show the numbers that they were given: what is drawn is read back."""
 
+import itertools
 import math
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from invented import FEEDBACK, FREQUENCY, LEVELS, SPRINGS, fitted, people_of, renamed, study_of
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.container import ErrorbarContainer
 from scipy import stats
 
@@ -31,7 +34,7 @@ from armperturb.study.report.figures import rig as rig_figures
 from armperturb.study.report.figures import trajectories as trajectory_figures
 from armperturb.study.report.figures.axes import STARS
 from armperturb.study.report.figures.catalogue import drawings
-from armperturb.study.report.figures.people import PERSON, draw_people, with_margins
+from armperturb.study.report.figures.people import PERSON, draw_people, fit_labels, with_margins
 from armperturb.study.report.findings import excess_rows
 from armperturb.subject import POSITION, RELAX
 
@@ -166,6 +169,9 @@ def test_pulses_of_a_third_level_are_neither_beside_the_thesiss_ratio_nor_below_
     assert len(told) == 3
     names = [text.get_text() for text in figure.legends[0].get_texts()]
     assert names[:4] == ["people, PT, level 1", "people, PT, level 2", "people, PT, level 3", "people, RT, level 1"]
+    # Names of the thesis's levels are none of other conditions.
+    own = pulse_figures.pulse_admittance(renamed(invented, factor=1.0)).legends[0].get_texts()
+    assert [text.get_text() for text in own][:2] == ["people, PT, level 1", "people, PT, level 2"]
     of_thesis = pulse_figures.pulse_admittance(invented).legends[0].get_texts()
     assert [text.get_text() for text in of_thesis][:2] == ["people, PT, minimum level", "people, PT, maximum level"]
 
@@ -562,6 +568,44 @@ def test_one_person_has_whole_marks_and_no_interval_in_the_legend(invented):
     low, high = ax.get_ylim()
     assert high - 20.1 > 0.03 * (high - low)
     assert low < 0.0
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        (
+            "kurz",
+            "lang mit einem sehr langen Namen der Bedingung",
+            "lang mit einem sehr langen Namen der Bedingung zwei",
+        ),
+        ("HandhaltungMitGrosserLast", "HandhaltungMitKleinerLast", "HandhaltungOhneLast"),
+        ("hold leise", "hold mittel", "hold groß", "ruhe", "lösen", "hold leise\nmit Puls"),
+    ],
+)
+def test_names_of_conditions_do_not_cover_one_another(names):
+    for width in (1, 3):
+        figure = new_figure(2.0)
+        ax = figure.subplots(1, width, squeeze=False)[0, 0]
+        draw_people(ax, {"PT": {name: {"A": 1.0} for name in names}})
+        ax.tick_params(axis="x", labelsize=6.5)
+        fit_labels(ax)
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        labels = ax.get_xticklabels()
+        shown = [label.get_text() for label in labels]
+        assert [re.sub(r"\s", "", name) for name in names] == [re.sub(r"\s", "", text) for text in shown]
+        if not labels[0].get_rotation():
+            boxes = [label.get_window_extent(canvas.get_renderer()) for label in labels]
+            assert all(left.x1 <= right.x0 for left, right in itertools.pairwise(boxes)), shown
+
+
+def test_names_of_the_thesis_stand_as_they_are():
+    figure = new_figure(2.0)
+    ax = figure.subplots(1, 3)[0]
+    names = ["PT2.5", "PT7.5", "PT22.5", "RT2.5", "RT7.5", "RT22.5"]
+    draw_people(ax, {"PT": {name: {"A": 1.0} for name in names}})
+    fit_labels(ax)
+    assert [label.get_text() for label in ax.get_xticklabels()] == names
 
 
 def test_registry_holds_what_the_study_allows(recorded):

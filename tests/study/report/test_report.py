@@ -19,6 +19,7 @@ from armperturb.files import checksum
 from armperturb.pages.formats import MISSING, chance, digits, mean_sd, signed, symbol, words
 from armperturb.plots.style import COLOURS, TRUE, save_svg, shades
 from armperturb.study.comparison.effects import effects
+from armperturb.study.comparison.score import score
 from armperturb.study.experiments.mechanisms import ONE_LEVEL, WHOLE, Response, Yielding
 from armperturb.study.protocol import THESIS, Condition, Protocol
 from armperturb.study.recording.settings import StudySettings
@@ -28,7 +29,7 @@ from armperturb.study.report.figures.catalogue import drawings
 from armperturb.study.report.findings import findings, geometric_mean, law_alone
 from armperturb.study.report.provenance import digest_of
 from armperturb.study.report.report import _simulations
-from armperturb.study.report.sections import left_out, remarks
+from armperturb.study.report.sections import _agreement, left_out, remarks
 from armperturb.study.report.tables import condition_rows, fit_rows, pulse_units
 from armperturb.study.results.analyse import _Study
 from tests.studies import FEW_FITS, coarse_study, sketch
@@ -328,17 +329,22 @@ def test_summary_has_score_and_headline_numbers(page, out):
     assert len(contradicted) == sum(bool(row["contradiction"]) for row in by_name.values()) == 4
 
 
-def test_summary_tells_what_differs(written, out):
+def test_summary_tells_what_differs(thesis_study, written, out):
     text = written.read_text(encoding="utf-8")
     missing = [row for row in scored(out) if row["reason"]]
     assert f"{len(missing)} of {len(scored(out))} cells could not be computed and count as not reproduced" in text
     [named] = re.findall(r"<li>movements beyond 2 SD: (.*?)</li>", text)
-    [causes] = re.findall(r"<li>fitted cells beyond 1 SD: (.*?)</li>", text)
-    assert [part.split()[0] for part in causes.split("; in brackets")[0].split(", ")] == ["C", "D", "E"]
+    # Where the experiment is another, differences are not told to be the people's.
+    assert "</b>, so that cells differ for its sake." in text
+    assert "trial_duration is 36.0 there and 30.0 now" in text
+    assert "<li>fitted cells beyond 1 SD:" not in text
+    repeated = " ".join(_agreement(replace(score(thesis_study), differences=()))["differs"])
+    [causes] = re.findall(r"fitted cells beyond 1 SD: (.*?); in brackets", repeated)
+    assert [part.split()[0] for part in causes.split(", ")] == ["C", "D", "E"]
     off = [
         abs(float(row["z"])) > 1.0 for row in scored(out) if row["table"][0] in "2F" and math.isfinite(float(row["z"]))
     ]
-    assert f"<li>movements beyond 1 SD: {100 * sum(off) / len(off):.0f} % of computed cells" in text
+    assert f"movements beyond 1 SD: {100 * sum(off) / len(off):.0f} % of computed cells" in repeated
     first = next(row for row in scored(out) if row["table"][0] in "2F" and abs(float(row["z"])) > 2.0)
     assert named.startswith(f"{first['quantity'].replace('_', ' ')} in {first['condition']}")
 

@@ -63,6 +63,19 @@ def test_contractions_that_last_for_a_part_of_their_trial_have_no_level(tmp_path
     assert [row.amplitude for row in told.levels if row.condition == "PT7.5"] == pytest.approx([0.1, 0.1], rel=0.1)
 
 
+def test_a_contraction_recorded_with_the_relax_task_is_no_relaxation(tmp_path):
+    amplitude = np.array([0.5, 0.1, 0.01, 0.0])
+    volts = amplitude[:, None, None] * noise((4, 2, 20_000))
+    volts += 1e-3 * np.random.default_rng(0).standard_normal(volts.shape)
+    recording = recorded(volts, ["half", "PT7.5", "RT7.5", "REST"], task=["RT", "PT", "RT", "RT"])
+    save_recording(recording, tmp_path / "A.nc")
+    told = person_emg("A", tmp_path / "A.nc", contractions=("half",))
+    assert told.unit == "% of half"
+    assert not any("nothing is known of relaxation" in line for line in told.remarks)
+    assert {row.condition for row in told.levels if row.is_active} == {"PT7.5"}
+    assert {row.condition for row in told.cocontraction} == {"PT7.5", "RT7.5", "REST"}
+
+
 def test_people_without_an_index_have_no_figure_of_it():
     relaxed = PersonEmg(name="S0", unit="% of RT2.5", limit=0.1, levels=PEOPLE[0].levels)
     assert emg_drawings(SimpleNamespace(emg=(relaxed,), protocol=THESIS)) == {}

@@ -10,23 +10,20 @@ from invented import people_of, study_of
 from armperturb.cohort import draw_person
 from armperturb.environment import Strap
 from armperturb.pages.page import Picture, rendered
+from armperturb.study.comparison.effects import effects
 from armperturb.study.recording.settings import StudySettings
-from armperturb.study.report.findings import fall_is_given, findings
-from armperturb.study.report.sections import lost_pulses, named_by_displacement
+from armperturb.study.report.findings import fall_is_given, findings, set_levels
+from armperturb.study.report.sections import lost_pulses, named_by_displacement, sections
 from armperturb.study.report.words import WORDS
+from armperturb.study.results.mean_admittance import by_task, differ_in_amplitude
 
 
 def summary(study, **changed):
     """The text of the first screen, with other findings where some are given."""
     shown = {
-        **{
-            "rows": [1],
-            "findings": {**findings(study), **changed},
-            "alone": None,
-            "given": False,
-            "relaxation": "",
-            "fits": [],
-        },
+        **{"rows": [1], "findings": {**findings(study), **changed}, "alone": None, "given": False, "relaxation": ""},
+        "fits": [],
+        "set_levels": set_levels(study, findings(study).get("amplitude_PT") or findings(study).get("condition_PT")),
         **{"flagged": 0, "reasons": {}, "differ": math.nan, "lost_pulses": lost_pulses(study)},
     }
     n = len(study.names)
@@ -40,11 +37,18 @@ def summary(study, **changed):
     return re.sub(r"\s+", " ", re.sub("<[^>]+>", "", page.split('<section id="summary">')[1]))
 
 
-def section(study, name, **shown):
-    """The text of a section without figures, of people who were simulated."""
+def section(study, name, drawn=(), **shown):
+    """The text of a section of people who were simulated, with the captions of these figures."""
+    pictures = dict.fromkeys(drawn, Picture("<svg/>", 1.0, 1.0))
     page = rendered(
-        *("armperturb.study.report", "page.html", {name: {"rows": [], **shown}}, WORDS["sections"], {}),
-        **{"study": study, "first": "S01", "over_people": "", "multisine": {"lines": 72, "clusters": 18, "period": 20}},
+        *("armperturb.study.report", "page.html", {name: {"rows": [], **shown}}, WORDS["sections"], pictures),
+        **{
+            "study": study,
+            "first": "S01",
+            "over_people": "",
+            "people": "",
+            "multisine": {"lines": 72, "clusters": 18, "period": 20},
+        },
     )
     return re.sub(r"\s+", " ", re.sub("<[^>]+>", "", page.split(f'<section id="{name}">')[1]))
 
@@ -145,3 +149,71 @@ def test_the_fall_is_given_where_it_is_one_and_levels_differ(study):
     assert not fall_is_given(nonlinear, replace(finding, above="large", below="small"))
     assert not fall_is_given(replace(study, cohort=(replace(person, levels={}),)), finding)
     assert not fall_is_given(nonlinear, None)
+
+
+def with_conditions(study, **changes):
+    """The study, whose conditions with a multisine in the position task have other values, in their order."""
+    changed = iter(zip(*changes.values(), strict=True))
+    conditions = tuple(
+        replace(each, **dict(zip(changes, next(changed), strict=True)))
+        if each.task == "PT" and each.has_multisine
+        else each
+        for each in study.protocol.conditions
+    )
+    by_name = {each.name: each for each in conditions}
+    cases = tuple(replace(case, condition=by_name[case.condition.name]) for case in study.cases)
+    return replace(study, protocol=replace(study.protocol, conditions=conditions), cases=cases)
+
+
+def test_a_difference_in_co_contraction_is_not_called_one_in_movement(study):
+    assert "Larger movements. While relaxing" in summary(study)
+    assert "Co-contraction differs" not in summary(study)
+    both = with_conditions(study, co_contraction=(0.6, 1.0, 1.5))
+    assert "Co-contraction differs: the protocol sets" in (text := summary(both))
+    assert "Larger movements. While relaxing" in text
+    levels = with_conditions(study, co_contraction=(0.6, 1.0, 1.5), rms_displacement=(0.0075,) * 3, reached=(1.0,) * 3)
+    text = summary(levels)
+    assert "sets 0.60 times people's own in PT2.5 and 1.5 times in PT22.5" in text
+    assert re.search("Conditions with the same intended movement. While holding, admittance (rises|falls)", text)
+    assert findings(levels).keys() == {"tasks", "amplitude_RT", "condition_PT", "excess"}
+    assert not fall_is_given(replace(levels, cohort=(draw_person(0, 0),)), findings(levels)["condition_PT"])
+
+
+def test_linear_people_differ_by_the_co_contraction_that_the_protocol_sets(study):
+    linear = replace(study, made=StudySettings(subjects=3, muscles="linear"))
+    for each, is_set in ((linear, False), (with_conditions(linear, co_contraction=(0.6, 1.0, 1.5)), True)):
+        conditions = by_task(each)["PT"]
+        assert differ_in_amplitude(conditions) != is_set
+        shown = {"findings": {}, "tasks": {"PT": conditions}, "amplitudes": {"PT": not is_set}, "main": {}}
+        text = section(each, "admittance", ["admittance_by_amplitude_PT"], **shown, effects=effects(each))
+        assert ("differs here is how much they co-contract, noise, and how much the arm" in text) == is_set
+        assert ("from all trials, darker for larger movements" in text) != is_set
+
+
+def test_tests_that_were_not_made_are_told_though_there_is_none(study):
+    def shown(people):
+        told = replace(study, people=people, cases=())
+        tested = replace(effects(told), rows=(), pairs=(), admittance={}, remarks=("b_s, PT: not tested",))
+        tables = {name: [] for name in ("summary", "fits", "estimates", "conditions", "parameters_summary")}
+        return sections(told, None, tested, tables, yielding=None, shoulder=None, drawn=())
+
+    assert shown(study.people)["statistics"]["effects"].remarks
+    assert "statistics" not in shown(study.people[:2])
+
+
+def test_recordings_of_people_are_not_called_simulated(study):
+    joint = {"table": "F.2", "condition": "PT2.5", "quantity": "rms_velocity_s", "path_mean": 0.2, "path_sd": 0.1}
+    joint |= {f"{of}_{what}": math.nan for of in ("simulated", "published") for what in ("mean", "sd")}
+    shown = {"joints": [joint], "limits": [], "printed_limits": [], "shoulder": None, "names": {}}
+    text = section(study, "kinematics", ["joint_rotations"], **shown, has_truth=False)
+    assert "from the handle's path. Dots" in text
+    assert "simulated" not in text
+    assert "as simulated. Dots" in section(study, "kinematics", ["joint_rotations"], **shown, has_truth=True)
+    assert "The hand holds the manipulator, which" in section(study, "method")
+    simulated = section(replace(study, made=StudySettings()), "method", ["pulse_signal", "perturbation"])
+    assert "The hand holds a simulated manipulator, which" in simulated
+    assert "half a sine" in simulated
+    assert "full power up to 1.5" in simulated
+    of_people = section(study, "method", ["pulse_signal", "perturbation"])
+    assert "and the pulse enlarged." in of_people
+    assert "density of its multisine." in of_people

@@ -10,7 +10,7 @@ from armperturb.analysis.measures.kinematics import hand_position
 from armperturb.recording import make_recording
 from armperturb.recording_files import load_recording
 from armperturb.study.published import tables as published
-from armperturb.study.results.quantities import Cell, measure, measured_cells, published_cells
+from armperturb.study.results.quantities import Cell, level_name, measure, measured_cells, published_cells
 
 RATE = 200.0
 L_H, L_F, START = 0.31, 0.36, np.radians([22.5, 82.3])
@@ -131,10 +131,28 @@ def test_windows_are_those_of_the_task():
     assert position[Cell("F.5", "PT0", "peak_rotation_min_s")] == pytest.approx(at_end, rel=1e-3)
 
 
-def test_another_level_in_a_condition_of_the_thesis_fills_no_cell():
-    cells, left_out = measure(recorded(rotating("PT0", bump([0.1, 0.1]), level=1.5)))
-    assert cells == {}
-    assert left_out == ("trial 0: pulse_level = 1.5; expected one of 1.0, 2.0",)
+def test_another_level_in_a_condition_of_the_thesis_fills_cells_beside_those_of_the_thesis():
+    both = [rotating("PT0", bump([0.1, 0.1]), level=level) for level in (1.0, 2.0)]
+    third = rotating("PT0", bump([0.2, 0.2]), level=8.0)
+    cells, left_out = measure(recorded(*both, third))
+    assert left_out == ()
+    thesis = measured_cells(recorded(*both))
+    assert Cell("F.6", "PT0", "peak_rotation_right_s") in thesis
+    assert {cell: value for cell, value in cells.items() if cell in published_cells()} == thesis
+    assert {(cell.table, cell.quantity) for cell in cells.keys() - thesis.keys()} == {
+        ("2.1", "peak_displacement_8"),
+        *(("F.3", f"peak_velocity_8_{joint}") for joint in "se"),
+        *(("F.5", f"peak_rotation_8_{joint}") for joint in "se"),
+    }
+    # So does a level that the thesis has in other conditions only.
+    assert Cell("F.5", "RT0", "peak_rotation_max_s") in measured_cells(
+        recorded(rotating("RT0", bump([0.1, 0.1]), level=2.0))
+    )
+
+
+def test_levels_have_names_in_conditions_of_the_thesis_only():
+    assert [level_name("PT0", level) for level in (1.0, 2.0, 1.5)] == ["min", "max", "1.5"]
+    assert [level_name("own", level) for level in (1.0, 2.0, 1.5)] == ["1", "2", "1.5"]
 
 
 def test_conditions_of_ones_own_fill_cells_of_their_own():
@@ -188,11 +206,14 @@ def test_the_workspace_limit_ends_what_counts():
     assert late == pytest.approx({cell: whole[cell] for cell in late}, rel=1e-6)
     assert left_out == (
         "trial 0 reached the workspace limit at 30.100 s, 0.100 s after its pulse began; expected it to stay inside "
-        "for 0.3 s",
+        "for 0.3 s (PT7.5, pulse at 20°)",
     )
     early, left_out = measure(recorded(rotating("PT7.5", rotation, limit=20.0)))
     assert early == {}
-    assert left_out[0] == "trial 0: the workspace limit is reached at 20.000 s, within the multisine's window"
+    assert (
+        left_out[0]
+        == "trial 0: the workspace limit is reached at 20.000 s, within the multisine's window (PT7.5, pulse at 20°)"
+    )
 
 
 def test_a_handle_out_of_reach_is_told_and_harms_no_other_trial():
@@ -200,7 +221,7 @@ def test_a_handle_out_of_reach_is_told_and_harms_no_other_trial():
     bad[1][TIME > ONSET + 0.05] = 1.0
     cells, left_out = measure(recorded(good, bad))
     assert cells == measured_cells(recorded(good))
-    assert left_out[0] == "trial 1: the handle is out of the arm's reach at 30.055 s"
+    assert left_out[0] == "trial 1: the handle is out of the arm's reach at 30.055 s (PT0, pulse at 20°)"
     assert "trial 1 reached the workspace limit" in left_out[1]
 
 
@@ -211,16 +232,16 @@ def test_the_first_sample_out_of_reach_is_found_despite_rounding():
         trial = rotating("PT0", bump([0.1, 0.1]))
         trial[1][n:] = 1.0
         _, left_out = measure(recorded(trial))
-        assert left_out[0] == f"trial 0: the handle is out of the arm's reach at {n / RATE:.3f} s"
+        assert left_out[0] == f"trial 0: the handle is out of the arm's reach at {n / RATE:.3f} s (PT0, pulse at 20°)"
 
 
 def test_too_short_a_trial_is_told():
     short = recorded(rotating("RT7.5", swinging(0.01))).isel(time=slice(0, round(30.5 * RATE)))
     cells, left_out = measure(short)
     assert {cell.quantity.split("_")[0] for cell in cells} == {"rms", "max"}
-    assert left_out == ("trial 0 ends 0.5 s after its pulse began; expected more than 1 s in RT",)
+    assert left_out == ("trial 0 ends 0.5 s after its pulse began; expected more than 1 s in RT (RT7.5, pulse at 20°)",)
     _, left_out = measure(recorded(rotating("RT7.5", swinging(0.01), onset=20.0)))
-    assert left_out == ("trial 0: the multisine ends at 20 s; expected 28.48 s or more",)
+    assert left_out == ("trial 0: the multisine ends at 20 s; expected 28.48 s or more (RT7.5, pulse at 20°)",)
 
 
 def test_refuses_several_people():

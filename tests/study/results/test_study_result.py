@@ -204,7 +204,11 @@ def test_without_a_manifest_conditions_are_the_thesiss_of_the_same_names(study, 
     assert (found.made, found.cohort) == (None, ())
     counts = Counter(load_recording(copied / "recordings" / "S01.nc")["condition"].values.tolist())
     assert found.recorded == counts
-    assert found.protocol.conditions == tuple(each for each in THESIS.conditions if each.name in counts)
+    # Levels and directions are those that were recorded.
+    levels = {each.name: each.pulse_levels for each in study.protocol.conditions}
+    of_thesis = [each for each in THESIS.conditions if each.name in counts]
+    assert found.protocol.conditions == tuple(replace(each, pulse_levels=levels[each.name]) for each in of_thesis)
+    assert found.protocol.pulse_directions_deg == (20.0,)
     assert found.environment.m_env == pytest.approx(study.environment.m_env, rel=0.02)
     assert "how the recordings were made is not known" in found.missing[0]
     assert found.n_people == 1
@@ -216,6 +220,9 @@ def test_without_a_manifest_conditions_are_the_thesiss_of_the_same_names(study, 
     page = sketch(found, tmp_path / "report")
     assert f"{len(counts)} conditions" in " ".join(page.split())
     assert f"{counts.total()} trials in all" in page
+    text = " ".join(page.split())
+    assert "The hand holds the manipulator, which pushes it" in text
+    assert "beside what the simulated joints really did" in text  # as these recordings hold them
 
     for content, message in (("{", "not readable as JSON"), ("[]", "holds a list"), ("{}", "no 'versions'")):
         (copied / "manifest.json").write_text(content)
@@ -232,7 +239,10 @@ def test_recordings_of_other_conditions_are_no_study(copied, monkeypatch):
     path = copied / "recordings" / "S01.nc"
     recording = load_recording(path)
     named = np.where(recording["condition"].values == "PT7.5", "elsewhere", recording["condition"].values)
-    for labels, message in ((["elsewhere"] * len(named), "identify .*recordings/.*.nc --out DIR"), (named, "")):
+    for labels, message in (
+        (["elsewhere"] * len(named), r"identify \S*recordings/S01\.nc --subject S01 --condition elsewhere --out DIR"),
+        (named, ""),
+    ):
         (copied / "recordings" / "SHA256SUMS").unlink(missing_ok=True)
         (copied / "recordings" / "S02.nc").unlink(missing_ok=True)
         save_recording(recording.assign_coords(condition=("trial", labels)), path)

@@ -8,7 +8,7 @@ from armperturb.analysis.emg.reflex import Reflexes
 from armperturb.plots.style import in_style, new_figure
 from armperturb.study.comparison.cocontraction import index_of
 from armperturb.study.protocol import Condition
-from armperturb.study.report.figures.people import draw_people, with_margins
+from armperturb.study.report.figures.people import draw_people, fit_labels, with_margins
 from armperturb.study.results.emg import PersonEmg
 
 
@@ -33,6 +33,7 @@ def cocontraction(people: tuple[PersonEmg, ...], conditions: tuple[Condition, ..
         with_margins(ax)
         ax.set_title(joint, loc="left")
         ax.set_ylabel("index [%]")
+    fit_labels(axes[-1])
     figure.suptitle(f"co-contraction in {people[0].unit}", fontsize=9, parse_math=False)
     return figure
 

@@ -8,7 +8,7 @@ from armperturb.plots.style import in_style, new_figure
 from armperturb.study.published import tables as published
 from armperturb.study.report.figures.groups import PRINTED, printed_handle
 from armperturb.study.report.figures.parameters import JOINT_NAMES, QUANTITIES
-from armperturb.study.report.figures.people import ASIDE, draw_people, people_legend, with_margins
+from armperturb.study.report.figures.people import ASIDE, draw_people, fit_labels, people_legend, with_margins
 from armperturb.study.report.tables import published_or_nan
 from armperturb.study.results.mean_admittance import by_task
 from armperturb.study.results.study_result import StudyResult
@@ -54,6 +54,7 @@ def estimates(study: StudyResult) -> Figure:
             ax.set_xlim(left=-0.6)
             with_margins(ax)
             ax.tick_params(axis="x", labelsize=6.5)
+            fit_labels(ax)
             if quantity == shown[0]:
                 ax.set_title(title)
         row[0].set_ylabel(f"{QUANTITIES[quantity]} [{unit(f'{quantity}_s')}]")

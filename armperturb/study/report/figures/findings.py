@@ -7,7 +7,7 @@ from matplotlib.ticker import FixedLocator
 
 from armperturb.plots.panels import label_frequency
 from armperturb.plots.style import COLOURS, GREY, in_style, new_figure
-from armperturb.study.report.figures.people import draw_people
+from armperturb.study.report.figures.people import draw_people, fit_labels
 from armperturb.study.report.findings import excesses, geometric_mean, low_gain
 from armperturb.study.results.mean_admittance import by_task, main_conditions
 from armperturb.study.results.study_result import StudyResult
@@ -34,6 +34,7 @@ def findings(study: StudyResult) -> Figure:
         grid["excess"].set_ylabel("recorded / predicted peak [-]")
         grid["excess"].yaxis.set_major_locator(FixedLocator([0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0]))
         grid["excess"].tick_params(axis="x", labelsize=7.5)
+        fit_labels(grid["excess"])
     else:
         grid = figure.subplot_mosaic([["gain"], ["course"]])
     gains = {
@@ -44,6 +45,7 @@ def findings(study: StudyResult) -> Figure:
         for task, those in by_task(study).items()
     }
     draw_people(grid["gain"], gains)
+    fit_labels(grid["gain"])
     grid["gain"].set_title("a  Admittance at low frequencies", loc="left")
     grid["gain"].set_ylabel("gain [mm/N]")
     _draw_course(grid["course"], study)

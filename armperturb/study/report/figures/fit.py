@@ -16,6 +16,7 @@ from armperturb.plots.style import COLOURS, FITTED, INK, PUBLISHED, RECORDED, in
 from armperturb.study.published import tables as published
 from armperturb.study.report.figures import groups
 from armperturb.study.report.figures.axes import plot_truth
+from armperturb.study.report.figures.people import fit_labels
 from armperturb.study.results.cases import Case
 from armperturb.study.results.mean_admittance import perturbed_conditions
 from armperturb.study.results.study_result import StudyResult
@@ -110,6 +111,7 @@ def vaf(study: StudyResult) -> Figure:
             }
             drawn.append(drawn_here)
             groups.draw_groups(ax, drawn_here)
+            fit_labels(ax)
             ax.set(ylim=(0, 100), ylabel=f"VAF along {AXES[axis]} [%]" if task == tasks[0] else "")
     printed = groups.printed_handles(drawn, label="published mean ± SD, linear model")
     legend(figure, *groups.model_handles(), groups.mean_handle(groups.mean_label(drawn)), *printed)

@@ -14,7 +14,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from armperturb.plots.panels import legend
 from armperturb.plots.style import FITTED, GREY, PUBLISHED, SKELETAL, new_figure
 from armperturb.study.published.tables import MeanSD, headline
-from armperturb.study.report.figures.people import MEAN, PERSON
+from armperturb.study.report.figures.people import MEAN, PERSON, fit_labels
 from armperturb.study.report.findings import arithmetic_mean, geometric_mean
 
 MODEL_LOOKS: dict[str, dict[str, Any]] = {"linear": FITTED, "skeletal": SKELETAL}
@@ -83,6 +83,7 @@ def draw_predictions(height: float, groups: Mapping[str, Groups], handles: Itera
         ax.axhspan(low, high, color=PUBLISHED["color"], alpha=0.18, linewidth=0)
         ax.axhline(100.0, color=GREY, linewidth=0.9)
         draw_groups(ax, groups[task])
+        fit_labels(ax)
     # Not before all are drawn: panels share their axis, which then no longer grows.
     first = next(iter(panels.values()))
     first.set_ylim(bottom=0)

@@ -1,6 +1,7 @@
 """Every person as a point, with lines within people, and beside them means over people with 95 % intervals."""
 
 import math
+import textwrap
 from collections.abc import Mapping
 from typing import Any
 
@@ -30,6 +31,13 @@ MEAN: dict[str, Any] = {
 
 ASIDE = 0.22
 """How far to the right of the people their mean is drawn [groups]."""
+
+
+CHARACTER, FILLED = 0.58, 1.12
+"""Mean width of a character [size of the text], and how much wider panels are once the figure is laid out [-]."""
+
+SHORT, LONGEST_LINE = 7, 18
+"""Characters of names that always stand side by side, as the thesis's do, and of a line that is turned."""
 
 
 def draw_people(ax: Axes, groups: Groups, *, logarithmic: bool = True) -> dict[str, int]:
@@ -72,6 +80,28 @@ def draw_people(ax: Axes, groups: Groups, *, logarithmic: bool = True) -> dict[s
         ax.yaxis.set_minor_locator(NullLocator())
         ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     return places
+
+
+def fit_labels(ax: Axes) -> None:
+    """Wrap the labels of groups whose names are too long to stand side by side, and turn them where a word is.
+
+    Args:
+      ax: with the groups' labels below it, of the size in which they are drawn.
+    """
+    labels = ax.get_xticklabels()
+    names = [label.get_text() for label in labels]
+    size = float(labels[0].get_fontsize()) if labels else 1.0
+    low, high = ax.get_xlim()
+    points = FILLED * 72.0 * ax.bbox.width / ax.figure.dpi / (high - low)
+    room = max(int(points / (CHARACTER * size)), SHORT)
+    if all(len(line) <= room for name in names for line in name.split("\n")):
+        return
+    if max(len(word) for name in names for word in name.split()) > room:
+        wrapped, turned = ["\n".join(textwrap.wrap(name, LONGEST_LINE)) for name in names], 90
+    else:
+        lines = [[part for line in name.split("\n") for part in textwrap.wrap(line, room)] for name in names]
+        wrapped, turned = ["\n".join(each) for each in lines], 0
+    ax.set_xticks(ax.get_xticks(), wrapped, parse_math=False, fontsize=size, rotation=turned)
 
 
 def with_margins(ax: Axes) -> None:

@@ -1,7 +1,6 @@
 """Figures of the responses to pulses: peaks and their prediction (thesis figures 3.15, 3.16, 3.19)."""
 
 from collections.abc import Callable, Collection, Mapping
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,11 +14,12 @@ from armperturb.study.published import tables as published
 from armperturb.study.published.tables import MeanSD
 from armperturb.study.report.figures import groups as groups_of_people
 from armperturb.study.report.figures.groups import MARKERS, MODEL_LOOKS, NOTHING_PRINTED, Series
+from armperturb.study.report.figures.people import fit_labels
 from armperturb.study.report.tables import published_or_nan
 from armperturb.study.results.mean_admittance import perturbed_conditions
 from armperturb.study.results.quantities import PULSE_LEVELS, level_name
 from armperturb.study.results.study_result import StudyResult
-from armperturb.study.results.trial_measures import TrialMeasures
+from armperturb.study.results.trial_measures import PulseMeans
 from armperturb.subject import TASKS
 
 Levels = dict[str, dict[float, dict[str, float]]]
@@ -35,7 +35,7 @@ LEVEL_MARKERS = {1.0: "o", 2.0: "^"}
 @in_style()
 def peak_displacement(study: StudyResult) -> Figure:
     """Peak displacement after pulses: means over trials of people, and over people (thesis fig. 3.15, table 2.1)."""
-    by_task = pulsed_people(study, lambda trial: trial.displacement)
+    by_task = pulsed_people(study, lambda means: means.displacement)
     figure, _ = _draw_levels(by_task, "peak displacement [cm]", 100.0, published.peak_displacement)
     return figure
 
@@ -51,7 +51,7 @@ def pulse_admittance(study: StudyResult, p: Mapping[str, float] | None = None) -
       study: with trials that have pulses.
       p: condition with several levels to the p of the level's effect.
     """
-    by_task = pulsed_people(study, lambda trial: trial.admittance)
+    by_task = pulsed_people(study, lambda means: means.admittance)
     figure, panels = _draw_levels(by_task, "pulse admittance [mm/N]", 1000.0, shared=False)
     for task, (ax, tops) in panels.items():
         if any(len(levels) > 1 for levels in by_task[task].values()):
@@ -85,10 +85,14 @@ def ratio_is_published(condition: str, levels: Collection[float]) -> bool:
 def pulse_prediction(study: StudyResult) -> Figure:
     """Predicted over recorded peak displacement of both models: people's means over trials (thesis fig. 3.19)."""
     looks = dict(zip(MODEL_LOOKS, MARKERS, strict=False))
-    by_model = {model: pulsed_people(study, partial(predicted_share, model=model)) for model in MODEL_LOOKS}
+    shares: dict[str, Callable[[PulseMeans], float]] = {
+        "linear": lambda means: means.prediction,
+        "skeletal": lambda means: means.prediction_skeletal,
+    }
+    by_model = {model: pulsed_people(study, shares[model]) for model in MODEL_LOOKS}
     groups = {
         task: {
-            f"{condition}\n{level_name(level)}": [
+            f"{condition}\n{level_name(condition, level)}": [
                 Series(
                     by_model[model].get(task, {}).get(condition, {}).get(level, {}), MODEL_LOOKS[model]["color"], marker
                 )
@@ -102,33 +106,22 @@ def pulse_prediction(study: StudyResult) -> Figure:
     return groups_of_people.draw_predictions(3.6, groups, groups_of_people.model_handles(), 4)
 
 
-def predicted_share(trial: TrialMeasures, model: str) -> float:
-    """Predicted over recorded peak displacement of a trial [%] (eq. 2.25); NaN without a prediction.
-
-    Args:
-      trial: with a pulse.
-      model: "linear" or "skeletal".
-    """
-    return 100.0 * float(getattr(trial, f"predicted_{model}")) / trial.displacement
-
-
-def pulsed_people(study: StudyResult, quantity: Callable[[TrialMeasures], float]) -> dict[str, Levels]:
-    """Task, condition and level to each person's mean over the trials whose value is finite; only those that have any.
+def pulsed_people(study: StudyResult, quantity: Callable[[PulseMeans], float]) -> dict[str, Levels]:
+    """Task, condition and level to each person's mean over trials; only those that have any.
 
     Args:
       study: with measured people.
-      quantity: of a trial.
+      quantity: of the means of a person, condition and level; NaN if there is none.
     """
     by_task: dict[str, Levels] = {}
     for task in TASKS:
         for condition in perturbed_conditions(study, task):
             for level in sorted(condition.pulse_levels):
-                values = {}
-                for person in study.people:
-                    its = [trial for trial in person.trials if trial.condition == condition.name]
-                    numbers = [quantity(trial) for trial in its if abs(trial.pulse_level) == level]
-                    if known := [value for value in numbers if np.isfinite(value)]:
-                        values[person.name] = float(np.mean(known))
+                pulse = condition.name, level_name(condition.name, level)
+                means = {
+                    person.name: quantity(person.pulses[pulse]) for person in study.people if pulse in person.pulses
+                }
+                values = {name: value for name, value in means.items() if np.isfinite(value)}
                 if values:
                     by_task.setdefault(task, {}).setdefault(condition.name, {})[level] = values
     return by_task
@@ -145,7 +138,7 @@ def _draw_levels(
     """People at both pulse levels in each condition, a panel per task; and the panels with where each group ends."""
 
     def series(task: str, condition: str, level: float, values: Mapping[str, float]) -> Series:
-        printed = published_or_nan(source, condition, level_name(level)) if source else NOTHING_PRINTED
+        printed = published_or_nan(source, condition, level_name(condition, level)) if source else NOTHING_PRINTED
         return Series(values, *_look(task, level), printed)
 
     groups = {
@@ -157,12 +150,15 @@ def _draw_levels(
     }
     figure, panels = groups_of_people.task_panels(3.5, groups, shared=shared)
     tops = {task: (ax, groups_of_people.draw_groups(ax, groups[task], scale)) for task, ax in panels.items()}
+    for ax in panels.values():
+        fit_labels(ax)
     drawn = {
         task: sorted({level for of in conditions.values() for level in of}) for task, conditions in by_task.items()
     }
-    every = {level for levels in drawn.values() for level in levels}
+    shown = [level_name(name, level) for of in by_task.values() for name, levels in of.items() for level in levels]
+    of_thesis = set(shown) <= PULSE_LEVELS.keys()
     handles = [
-        groups_of_people.people_handle(f"people, {task}, {_level_words(level, every)}", *_look(task, level))
+        groups_of_people.people_handle(f"people, {task}, {_level_words(level, of_thesis)}", *_look(task, level))
         for task, levels in drawn.items()
         for level in levels
     ]
@@ -176,10 +172,10 @@ def _draw_levels(
     return figure, tops
 
 
-def _level_words(level: float, drawn: Collection[float]) -> str:
-    """For a legend: the thesis's names of its levels, which mislead beside others."""
-    names = {"min": "minimum level", "max": "maximum level"} if set(drawn) <= set(PULSE_LEVELS.values()) else {}
-    return names.get(level_name(level), f"level {level:g}")
+def _level_words(level: float, of_thesis: bool) -> str:
+    """For a legend: the thesis's names where all levels are its own, as they mislead beside others."""
+    words = {value: f"{name}imum level" for name, value in PULSE_LEVELS.items()} if of_thesis else {}
+    return words.get(level, f"level {level:g}")
 
 
 def _look(task: str, level: float) -> tuple[str, str]:

@@ -177,7 +177,7 @@ def joint_rotations(recording: xr.Dataset) -> Figure:
     """
     condition = str(recording["condition"].values[0])
     trials = first_pulses(recording)
-    level = level_name(float(np.abs(recording["pulse_level"].values).max()))
+    level = level_name(condition, float(np.abs(recording["pulse_level"].values).max()))
     figure = new_figure(3.4)
     panels = figure.subplots(1, len(trials), sharey=True, squeeze=False)[0]
     any_printed = False
