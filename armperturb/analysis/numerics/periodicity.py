@@ -121,7 +121,7 @@ def samples_of_period(period: float, rate: float) -> int:
 
 
 def are_independent(signals: Sequence[Array]) -> bool:
-    """Whether all signals, (time, axis) each, hold something, and none is another one scaled, turned round or shifted."""
+    """Whether all signals, (time, axis) each, hold something, and none is another one scaled, reversed or shifted."""
     sizes = [float(np.linalg.norm(each)) for each in signals]
     n = fft.next_fast_len(2 * max(map(len, signals)), real=True)
     spectra = [fft.rfft(each, n, axis=0) for each in signals]

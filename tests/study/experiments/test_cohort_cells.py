@@ -30,7 +30,8 @@ def test_cells_are_those_of_a_study_to_the_last_bit(settings, alone, tmp_path):
     for path in files:
         cells = measured_cells(load_recording(path))
         assert len(cells) > 20
-        assert alone.loc[path.stem].dropna().to_dict() == cells
+        printed = {cell: value for cell, value in cells.items() if cell in published_cells()}
+        assert alone.loc[path.stem].dropna().to_dict() == printed
 
 
 @pytest.mark.slow(reason="simulates a cohort")
