@@ -61,11 +61,8 @@ NOT_PERIODIC = 0.01
 """RMS of what changes from period to period over that of the perturbation from which on it is not periodic [-]."""
 
 
-FAINT = 1e-5
-"""Share of the perturbation's largest power density below which it tells nothing [-]."""
-
 WELL_KNOWN = 20.0
-"""Up to this frequency whatever the perturbation excites is used [Hz]: arms differ little from their models there."""
+"""Up to this frequency all that the perturbation excites is used [Hz]: arms differ little from their models there."""
 
 EVALUATIONS = 40
 """Of a structure, in a fit to the estimated admittance, which is but a start."""
@@ -336,15 +333,15 @@ def highest_frequency(parts: Sequence[ConditionTrials], estimated: float) -> flo
     """Highest frequency that counts in whole records [Hz].
 
     The likelihood weighs what is there by the noise, so that a perturbation which falls towards high frequencies tells
-    of inertia and damping where its response is too small to be estimated without a model.
+    of inertia and damping where too little of its power is left for the spectra.
 
     Args:
       parts: the trials.
       estimated: highest frequency of the spectra [Hz].
     """
     rate = parts[0].rate
-    records = [TrialRecord(d, d, rate) for part in parts for d in part.perturbation[:, : part.first_onset]]
-    excited = float(excited_frequencies(records, FAINT).max(initial=0.0))
+    records = [TrialRecord(d, d, rate) for part in parts for d in applied_perturbation(part)[:, : part.first_onset]]
+    excited = float(excited_frequencies(records).max(initial=0.0))
     return min(max(1.1 * estimated, min(excited, WELL_KNOWN)), 0.45 * rate)
 
 

@@ -345,11 +345,7 @@ def _sketched(
     group: Group, place: Place, start: "_Fitted", others: Sequence[Rung], method: Method, most: int = SKETCH_ROUNDS
 ) -> Rung:
     """One rung, from the fit to the admittance or from what other rungs have found, without its score."""
-    carried = [
-        _carried(other.structure, other.sketch.values, start.structure, as_intrinsic=as_intrinsic)
-        for other in others
-        for as_intrinsic in (False, True)
-    ]
+    carried = [_carried(other.structure, other.sketch.values, start.structure) for other in others]
     fit = sketch(group.with_structure(start.structure), [start.values, *carried], method, most=most)
     return Rung(*place, start.structure, fit, left_out_loss(fit.scores), np.inf)
 
@@ -403,16 +399,9 @@ def _fits_of_spectra(group: Group, richest: _Fitted) -> dict[Place, _Fitted]:
     return fitted
 
 
-def _carried(source: Structure, values: Array, structure: Structure, *, as_intrinsic: bool = False) -> Array:
-    """Values of a structure from those of another; gains that it has not are zero, and a rigid grip is a stiff one.
-
-    Such gains may have taken the place of intrinsic stiffness and damping, which then get them.
-    """
+def _carried(source: Structure, values: Array, structure: Structure) -> Array:
+    """Values of a structure from those of another; gains that it has not are zero, and a rigid grip is a stiff one."""
     known = dict(zip(source.free, values.tolist(), strict=True))
-    for gain, intrinsic in (("kp", "k"), ("kv", "b")) if as_intrinsic else ():
-        for joint in ("s", "se", "e"):
-            if f"{gain}_{joint}" not in structure.bounds:
-                known[f"{intrinsic}_{joint}"] += known.get(f"{gain}_{joint}", 0.0)
     start = []
     for name, (lower, upper) in structure.bounds.items():
         usual = 0.0 if name.startswith(("kv_", "kp_")) else STIFF if name == "k_h" else structure.initial[name]

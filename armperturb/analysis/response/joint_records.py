@@ -111,20 +111,15 @@ def thinned(signals: Array, factor: int, axis: int) -> Array:
     return np.asarray(signal.resample_poly(signals, 1, factor, axis=axis, window=lowpass))
 
 
-def excited_frequencies(records: Sequence[TrialRecord], least: float = EXCITED_DENSITY) -> Array:
-    """Where the disturbance has power, in steps of about 0.1 Hz, up to 0.4 of the rate [Hz], (frequency,).
-
-    Args:
-      records: of which one, or more, has power.
-      least: share of the largest power density that it must exceed [-].
-    """
+def excited_frequencies(records: Sequence[TrialRecord]) -> Array:
+    """Where the disturbance has power, in steps of about 0.1 Hz, up to 0.4 of the rate [Hz], (frequency,)."""
     rate, longest = records[0].rate, max(len(record.perturbation) for record in records)
     n_bin = min(round(BIN * rate), longest)
     long_enough = [record.perturbation for record in records if len(record.perturbation) >= n_bin]
     frequency = np.fft.rfftfreq(n_bin, 1.0 / rate)
     power = np.sum([signal.welch(d, rate, nperseg=n_bin, axis=0)[1] for d in long_enough], axis=(0, 2))
     power[(frequency == 0.0) | (frequency > 0.4 * rate)] = 0.0
-    return np.asarray(frequency[power > least * power.max()])
+    return np.asarray(frequency[power > EXCITED_DENSITY * power.max()])
 
 
 def admittance_of(what: System, joint: ComplexArray) -> ComplexArray:
