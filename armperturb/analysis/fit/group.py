@@ -60,7 +60,6 @@ Method = Literal["frequency", "record"]
 NOT_PERIODIC = 0.01
 """RMS of what changes from period to period over that of the perturbation from which on it is not periodic [-]."""
 
-
 WELL_KNOWN = 20.0
 """Up to this frequency all that the perturbation excites is used [Hz]: arms differ little from their models there."""
 

@@ -156,15 +156,13 @@ def facts_of(predictions: Mapping[str, Sequence[PulsePrediction]]) -> tuple[str,
 def remarks_on_peaks(pulses: Sequence[PulsePrediction]) -> list[str]:
     """A line on pulses after which the handle still moves away where their window ends; none if there are none."""
     n_cut = sum(is_cut(pulse.recorded) for pulse in pulses)
+    if not n_cut:
+        return []
     windows = " and ".join(f"{seconds:g} s in {task}" for task, seconds in WINDOWS.items())
-    return (
-        [
-            f"after {n_cut} of {len(pulses)} left-out pulses the handle is farthest where the window for peaks ends "
-            f"({windows} after the onset); recorded and predicted peaks are those until then"
-        ]
-        if n_cut
-        else []
-    )
+    return [
+        f"after {n_cut} of {len(pulses)} left-out pulses the handle is farthest where the window for peaks ends "
+        f"({windows} after the onset); recorded and predicted peaks are those until then"
+    ]
 
 
 def _agreement(pulses: Sequence[PulsePrediction]) -> list[str]:

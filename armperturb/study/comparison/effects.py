@@ -306,17 +306,20 @@ def compared_pulses(study: StudyResult, task: str, *, predicted: bool = False) -
     return tuple((name, level_name(name, max(common))) for name in names)
 
 
+def _comparable(study: StudyResult, task: str, *, predicted: bool) -> list[Condition]:
+    """Conditions of a task whose pulses may be compared; predictions are made from a multisine."""
+    return [each for each in perturbed_conditions(study, task) if each.has_multisine or not predicted]
+
+
 def _measured(study: StudyResult, task: str, *, predicted: bool) -> dict[str, set[float]]:
     """Conditions of which a pulse was measured to these levels, the smallest movement first."""
-    conditions = [each for each in perturbed_conditions(study, task) if each.has_multisine or not predicted]
-    measured = {condition.name: measured_levels(study, condition) for condition in conditions}
+    measured = {each.name: measured_levels(study, each) for each in _comparable(study, task, predicted=predicted)}
     return {name: levels for name, levels in measured.items() if levels}
 
 
 def _lost_pulses(study: StudyResult, task: str, pairs: Sequence[tuple[str, str]], *, predicted: bool) -> str:
     """What pulses that were not measured do to the comparison of conditions; empty if they do nothing."""
-    conditions = [each for each in perturbed_conditions(study, task) if each.has_multisine or not predicted]
-    planned = [each for each in conditions if each.pulse_levels]
+    planned = [each for each in _comparable(study, task, predicted=predicted) if each.pulse_levels]
     if len(planned) < 2 or not study.pulses:
         return ""
     if not pairs:
