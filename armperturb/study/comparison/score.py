@@ -23,6 +23,7 @@ from armperturb.analysis.results import Description, Result, Table
 from armperturb.files import write_csv, write_whole
 from armperturb.study.comparison.ceiling import OF_PRINTED_ARMS, causes, replicate_share
 from armperturb.study.comparison.headlines import Headline, headlines
+from armperturb.study.protocol.differences import Difference
 from armperturb.study.published import tables as published
 from armperturb.study.published.tables import FitEntry, MeanSD
 from armperturb.study.results.appendix_fits import FIRST_STEP, Appendices
@@ -80,21 +81,19 @@ class Score(Result):
       cells: every published one, in the order of the tables.
       headlines: numbers of the running text.
       remarks: what was left out of a cell that was computed, and what of the study is missing; one line each.
-      differences: settings of the protocol that are not the thesis's, so that cells differ for their sake; one text
-        each, with the thesis's value "there" and the study's "now".
+      differences: settings of the protocol that are not the thesis's (there), so that cells differ for their sake.
     """
 
     people: int
     cells: tuple[ScoredCell, ...]
     headlines: tuple[Headline, ...]
     remarks: tuple[str, ...]
-    differences: tuple[str, ...] = ()
+    differences: tuple[Difference, ...] = ()
 
     @property
     def other_settings(self) -> tuple[str, ...]:
         """Keys of the protocol and its conditions that differ, each once."""
-        keys = (line.split(" ")[0].rpartition("].")[2].partition("[")[0] for line in self.differences)
-        return tuple(dict.fromkeys(key.partition(".")[0] for key in keys))
+        return tuple(dict.fromkeys(each.setting for each in self.differences))
 
     def describe(self) -> Description:
         """How many cells of each table are near, the numbers of the running text, and what is missing."""
@@ -120,7 +119,7 @@ class Score(Result):
             details += [f"  {line.name}: {line.contradiction}" for line in against]
         if self.differences:
             details += ["", "settings that differ, of the thesis there and of this study now:"]
-            details += [f"  {line}" for line in self.differences]
+            details += [f"  {each}" for each in self.differences]
         if missing := missing_cells(self):
             details += ["", "cells that could not be computed:"]
             details += [f"  {where}: {n} cells: {reason}" for (reason, where), n in missing.items()]

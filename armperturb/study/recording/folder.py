@@ -25,6 +25,7 @@ from typing import Any
 from filelock import AcquireReturnProxy, FileLock, Timeout
 
 from armperturb.files import PART, checksum, sync, write_whole
+from armperturb.study.protocol.differences import differences
 
 MANIFEST = "manifest.json"
 RECORDINGS = "recordings"
@@ -42,9 +43,6 @@ HOLDER = "run"
 
 LARGEST_MANIFEST, LARGEST_SUMS, LARGEST_HOLDER = 2**22, 2**24, 2**10
 """Sizes of the manifest, of the checksums (75 bytes each) and of `HOLDER` that are read [byte]."""
-
-MAX_SHOWN = 60
-"""How long a value may be in a message [characters]."""
 
 
 class StudyFolder:
@@ -257,7 +255,7 @@ def _agree(root: Path, manifest: Mapping[str, Any]) -> None:
             "empty folder, or one with an unfinished study"
         )
     wanted = json.loads(json.dumps(manifest))
-    different = list(differences(before, wanted))
+    different = [str(each) for each in differences(before, wanted)]
     is_ours = before is None or {"subjects", "protocol"} <= before.keys()
     if different and recording is None and is_ours:
         with _naming(path):
@@ -268,49 +266,6 @@ def _agree(root: Path, manifest: Mapping[str, Any]) -> None:
             f"{root}: was made with other settings: {'; '.join(different[:3])}{more}; expected the same settings, or "
             "another folder"
         )
-
-
-def differences(before: Any, wanted: Any, name: str = "") -> Iterator[str]:
-    """One text per value in which two settings differ, as JSON has them.
-
-    Args:
-      before: settings that were read.
-      wanted: settings of now.
-      name: of the settings, with which the texts begin. Entries of a list that have a name, such as conditions, go by
-        it.
-    """
-    if isinstance(before, dict) and isinstance(wanted, dict):
-        for key in dict.fromkeys([*before, *wanted]):
-            inner = key if not name else f"{name}{key}" if key.startswith("[") else f"{name}.{key}"
-            if key not in before:
-                yield f"{inner} is missing there and {_shown(wanted[key])} now"
-            elif key not in wanted:
-                yield f"{inner} is {_shown(before[key])} there and missing now"
-            else:
-                yield from differences(before[key], wanted[key], inner)
-    elif before != wanted:
-        then, now = _by_label(before), _by_label(wanted)
-        # Else they are no lists, lists of numbers that differ in length, or the same entries in another order.
-        if then and now and then != now and (len(before) == len(wanted) or "[0]" not in then):
-            yield from differences(then, now, name)
-        else:
-            yield f"{name} is {_shown(before)} there and {_shown(wanted)} now"
-
-
-def _by_label(values: Any) -> dict[str, Any]:
-    """The entries of a list by their name, else by their place, in brackets; nothing if it is no list."""
-    if not isinstance(values, list):
-        return {}
-    return {
-        f"[{value.get('name', place) if isinstance(value, dict) else place}]": value
-        for place, value in enumerate(values)
-    }
-
-
-def _shown(value: Any) -> str:
-    """A value as JSON, cut short if it is long."""
-    text = json.dumps(value, ensure_ascii=False)
-    return text if len(text) <= MAX_SHOWN else f"{text[: MAX_SHOWN - 3]}..."
 
 
 def _sweep(root: Path) -> None:

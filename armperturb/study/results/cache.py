@@ -28,7 +28,8 @@ from typing import Any, Generic, TypeVar
 
 from armperturb.archive import read_archive, write_archive
 from armperturb.progress import Progress
-from armperturb.study.recording.folder import ANALYSIS, differences, require_own_results
+from armperturb.study.protocol.differences import differences
+from armperturb.study.recording.folder import ANALYSIS, require_own_results
 from armperturb.workers import Workers, completed
 
 LOG = logging.getLogger(__name__)
@@ -159,7 +160,8 @@ class CachedResult(Generic[Result]):
             then = source["recordings"] if isinstance(source["recordings"], dict) else {}
             names = [name for name in now["recordings"] if then.get(name) != now["recordings"][name]]
             return f"the recording has changed since ({', '.join(names or then)})"
-        return f"it was made with other settings: {'; '.join(differences(source['settings'], now['settings']))}"
+        different = map(str, differences(source["settings"], now["settings"]))
+        return f"it was made with other settings: {'; '.join(different)}"
 
 
 @dataclass(frozen=True, kw_only=True)

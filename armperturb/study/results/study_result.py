@@ -14,7 +14,7 @@ from armperturb.analysis import results
 from armperturb.cohort import Person
 from armperturb.environment import Environment
 from armperturb.study.protocol import THESIS, Condition, Protocol
-from armperturb.study.recording.folder import differences
+from armperturb.study.protocol.differences import Difference, differences
 from armperturb.study.recording.manifest import Manifest
 from armperturb.study.results.appendix_fits import Appendices
 from armperturb.study.results.cases import Case
@@ -147,7 +147,7 @@ class StudyResult(results.Result):
         return self.made is not None and self.made.ideal
 
     @cached_property
-    def unlike_thesis(self) -> tuple[str, ...]:
+    def unlike_thesis(self) -> tuple[Difference, ...]:
         """What the protocol does otherwise than the thesis's (there), in conditions of both; empty if unknown."""
         if self.made is None:
             return ()

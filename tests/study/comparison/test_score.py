@@ -228,7 +228,7 @@ def test_settings_that_are_not_the_thesiss_are_listed_and_causes_left_out(study,
     assert result.other_settings[-3:] == ("multisine_duration", "trial_duration", "onset_window")
     assert '  forces is "practice" there and "published" now' in text
     assert "  conditions[PT7.5].reached is 0.83 there and 1.0 now" in text
-    assert not any("missing" in line for line in result.differences)
+    assert not any("missing" in each.says for each in result.differences)
     assert "our people's" not in text
     fewer = tuple(each for each in THESIS.conditions if each.name != "RT0")
     own = replace(THESIS.condition("RT0"), name="own")
