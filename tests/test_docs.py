@@ -267,6 +267,7 @@ def test_versions_of_the_documentation_are_pinned():
     assert pinned == sorted(pinned, key=str.lower)
 
 
+@pytest.mark.slow(reason="imports what scripts import")
 def test_scripts_import_what_there_is():
     """They run by hand, seldom, and after a change of names would fail unnoticed."""
     missing = []

@@ -83,6 +83,7 @@ def test_file_gives_back_the_same_recording(recording, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["r.nc"]
 
 
+@pytest.mark.slow(reason="writes and reads files")
 def test_a_recording_of_lazy_arrays_is_saved_with_its_values(whole_recording, tmp_path):
     pytest.importorskip("dask.array")
     save_recording(whole_recording, tmp_path / "r.nc")
@@ -158,6 +159,7 @@ def test_single_trials_can_be_saved_too(recording, tmp_path):
     assert load_recording(tmp_path / "r.nc")["subject"].values.tolist() == ["B"]
 
 
+@pytest.mark.slow(reason="writes and reads files")
 def test_a_failed_save_leaves_the_old_file_and_nothing_else(recording, tmp_path, monkeypatch):
     path = tmp_path / "r.nc"
     save_recording(recording, path)
@@ -265,6 +267,7 @@ def chunks_of(path):
         return {name: item.id.get_chunk_info(0).byte_offset for name, item in written.items()}
 
 
+@pytest.mark.slow(reason="writes and reads files")
 def test_damage_in_any_array_is_noticed(whole_recording, tmp_path):
     save_recording(whole_recording, tmp_path / "r.nc")
     content, places = (tmp_path / "r.nc").read_bytes(), chunks_of(tmp_path / "r.nc")
@@ -317,6 +320,7 @@ def test_unreadable_files_are_named(tmp_path):
         load_recording(tmp_path / "text.nc")
 
 
+@pytest.mark.slow(reason="writes and reads files")
 def test_truncated_files_are_named(recording, tmp_path):
     save_recording(recording, tmp_path / "r.nc")
     whole = (tmp_path / "r.nc").read_bytes()

@@ -134,6 +134,7 @@ def test_workers_that_always_die_end_it(monkeypatch):
         list(completed(die, range(3), LocalProcesses(1)))
 
 
+@pytest.mark.slow(reason="starts processes")
 def test_what_a_unit_raises_comes_through():
     with pytest.raises(ValueError, match="unit 0 is wrong"):
         list(completed(fail, range(1), LocalProcesses(1)))
@@ -171,6 +172,7 @@ def test_a_warning_of_a_worker_is_one_line_and_a_helper_that_was_killed_is_none(
     assert capfd.readouterr().err == "armperturb: warning: unit 3 is strange\n"
 
 
+@pytest.mark.slow(reason="starts processes")
 def test_closing_stops_at_once():
     pool = LocalProcesses(2)
     results = completed(wait_long, range(4), pool, lambda: (_ for _ in ()).throw(KeyboardInterrupt))

@@ -113,6 +113,7 @@ def test_perfect_instruments_are_taken_as_they_are():
     assert abs(balance.skew(environment, levels).time) < 1e-7
 
 
+@pytest.mark.slow(reason="draws many records")
 @pytest.mark.parametrize("cutoff", [None, 40.0])
 def test_frequencies_without_noise_are_no_good_instruments(cutoff):
     """Of recordings at a higher rate than their noise reaches, resampled or low-passed."""

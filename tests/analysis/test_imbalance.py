@@ -65,6 +65,7 @@ def test_displacement_as_noisy_as_markers_neither_makes_nor_hides_a_fault(displa
     )
 
 
+@pytest.mark.slow(reason="draws many records")
 def test_noise_alone_is_hardly_ever_taken_for_a_fault():
     assert [found(*signals(seed=seed, force=0.5)) for seed in range(6)] == [None] * 6
 
@@ -164,6 +165,7 @@ def test_the_standard_error_of_a_delay_is_its_scatter():
     assert 0.5 < np.sqrt(np.mean(np.square(scatter))) < 1.7
 
 
+@pytest.mark.slow(reason="draws many records")
 def test_a_delay_of_the_force_gives_the_skew_its_sign_and_size():
     for late, expected in (((0.0, 0.003, 0.0), 0.003), ((0.0, 0.0, 0.003), -0.003), ((0.003, 0.0, 0.0), 0.0)):
         balance = Balance(*signals(late=late), RATE)

@@ -37,6 +37,7 @@ def other(recording):
     return recording.assign(turned).assign_coords(theta_s_deg=shoulder).isel(trial=[2, 0, 1])
 
 
+@pytest.mark.slow(reason="estimates several responses")
 @pytest.mark.parametrize("method", ["multisine", "noise", "arx"])
 def test_a_response_turns_with_its_axes(recording, other, method):
     before, after = (ap.response(each, method=method) for each in (recording, other))

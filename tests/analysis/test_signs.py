@@ -59,6 +59,7 @@ def scaled(recording, name, factor):
 TURNED = r"inertia comes out at -0\.0.*as it would if the sign of force were turned"
 
 
+@pytest.mark.slow(reason="balances many recordings")
 @pytest.mark.parametrize(
     ("servo", "name", "factor", "said"),
     [

@@ -59,6 +59,7 @@ def simulate(folder, *options, subject="subject.toml", perturbation="pulse.csv",
     return ("simulate", *paths, *options)
 
 
+@pytest.mark.slow(reason="runs whole commands")
 def test_a_warning_is_one_line_without_a_place_in_the_code(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(cli, "show", lambda _: warnings.warn("two\nlines \x1b[2J", RuntimeWarning, stacklevel=1))
     with warnings.catch_warnings():
@@ -67,6 +68,7 @@ def test_a_warning_is_one_line_without_a_place_in_the_code(tmp_path, capsys, mon
     assert capsys.readouterr().err == "armperturb: warning: two lines \\x1b[2J\n"
 
 
+@pytest.mark.slow(reason="runs whole commands")
 def test_a_sidecar_is_advised_as_a_shell_takes_it(tmp_path, capsys):
     assert run("sidecar", RECORDING.with_name("position.csv"), "--out", tmp_path / "two words.json") == 0
     typed = capsys.readouterr().out.partition("for other files with these channels: ")[2].splitlines()[0]
@@ -520,6 +522,7 @@ print(os.environ["OPENBLAS_NUM_THREADS"], file=sys.stderr)
 """
 
 
+@pytest.mark.slow(reason="runs whole commands")
 def test_help_loads_no_heavy_library_and_linear_algebra_takes_one_thread_unless_the_user_says_more():
     unset = {name: value for name, value in os.environ.items() if name not in cli.BLAS_THREADS}
     done = subprocess.run([sys.executable, "-c", LIGHT], env=unset, capture_output=True, text=True, check=True)

@@ -68,6 +68,7 @@ def test_spreadsheets_run_no_cell(tmp_path, start):
     assert cells[-1].endswith(",-1.5,-1.5")
 
 
+@pytest.mark.slow(reason="runs whole commands")
 def test_results_are_written_where_nothing_can_be_printed(tmp_path, monkeypatch, capsys):
     page = tmp_path / "o.html"
     with open("/dev/full", "w") as full, monkeypatch.context() as patched:

@@ -97,6 +97,7 @@ def test_an_earlier_distortion_goes_if_asked(folder, tmp_path, capsys):
     assert not any((tmp_path / name).exists() for name in names)
 
 
+@pytest.mark.slow(reason="runs whole commands")
 @pytest.mark.usefixtures("blank_pictures")
 def test_pulses_alone_name_their_method_and_give_a_response(tmp_path, capsys):
     rng = np.random.default_rng(3)

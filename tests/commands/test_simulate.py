@@ -25,6 +25,7 @@ def simulate(folder, *options):
     )
 
 
+@pytest.mark.slow(reason="runs whole commands")
 def test_a_muscle_driven_arm_is_recorded(folder, capsys):
     options = ("--activation", "0.2", "--lock", "wrist", "--posture-deg", "q2=-10", "--reflex", "1", "0.1", "0.03")
     assert simulate(folder, "--mjcf", str(folder / "muscles.xml"), "--hand", "palm", *options) == 0
@@ -38,6 +39,7 @@ def test_a_muscle_driven_arm_is_recorded(folder, capsys):
     assert np.abs(recording["displacement"].values).max() > 1e-3
 
 
+@pytest.mark.slow(reason="runs whole commands")
 def test_a_person_is_recorded_as_fast_as_asked(folder, capsys):
     ap.RELAX.save(folder / "relax.toml")
     options = ("--subject", str(folder / "relax.toml"), "--rate", "1000")

@@ -213,6 +213,7 @@ def test_copies_that_differ_by_rounding_or_their_end_are_copies(folder, capsys, 
     assert "expected each trial in one file only" in line
 
 
+@pytest.mark.slow(reason="runs whole commands")
 def test_trials_of_little_noise_are_no_copies(folder):
     source = next(folder.glob("*.nc"))
     recording, path = load_recording(source), folder / "other.nc"
@@ -239,6 +240,7 @@ def test_copies_of_a_trial_do_not_count_as_another(folder, capsys, ending):
         assert not (folder / "results").exists()
 
 
+@pytest.mark.slow(reason="runs whole commands")
 def test_millimetres_that_are_declared_metres_are_refused(folder, capsys):
     recording = load_recording(next(folder.glob("*.nc")))
     attributes = recording["displacement"].attrs
@@ -248,6 +250,7 @@ def test_millimetres_that_are_declared_metres_are_refused(folder, capsys):
     assert "displacement is" in refused(capsys, "identify", path, "--model", "3b", "--out", folder / "results")
 
 
+@pytest.mark.slow(reason="runs whole commands")
 def test_lengths_of_no_arm_are_refused(folder, capsys):
     recording = load_recording(next(folder.glob("*.nc")))
     recording["l_h"] = xr.full_like(recording["l_h"], 1e-300)
@@ -290,6 +293,7 @@ def test_a_full_disk_names_the_file_and_leaves_nothing(folder, capsys, monkeypat
     assert content_of(folder) == before
 
 
+@pytest.mark.slow(reason="runs whole commands")
 def test_a_folder_of_results_that_cannot_be_written_does_not_stay(folder, capsys, monkeypatch):
     def full(path, *_, **__):
         raise OSError(errno.ENOSPC, "No space left on device")

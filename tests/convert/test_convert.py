@@ -51,6 +51,7 @@ def assert_is_the_laboratory(recording, tolerance=1e-12, n_trials=N_TRIALS):
         assert recording[name].values.tolist() == [value] * n_trials
 
 
+@pytest.mark.slow(reason="converts several files")
 def test_units_axes_signs_starts_and_dialects_are_turned_into_ours(tmp_path):
     # x points back, y to the left; force in pounds, of the hand on the handle; path in inches from somewhere.
     values = table()
@@ -338,6 +339,7 @@ def test_a_simulated_arm_passes_and_its_force_turned_is_named(position_recording
 MIRROR = [-1.0, 1.0]
 
 
+@pytest.mark.slow(reason="converts several files")
 @pytest.mark.parametrize(
     ("change", "named"),
     [
@@ -456,6 +458,7 @@ def test_a_force_with_an_offset_that_drifts_balances_and_hides_no_sign(duration)
         check_balance(laboratory_recording(*((d, offset - f, x) for d, f, x in trials)))
 
 
+@pytest.mark.slow(reason="converts several files")
 def test_what_comes_after_the_workspace_limit_is_not_held_against_physics():
     d, f, x = (values.copy() for values in handle(0, duration=10.0))
     f[1500:] = 300.0 * np.sin(np.arange(500))[:, None]  # the stop takes the load
@@ -464,6 +467,7 @@ def test_what_comes_after_the_workspace_limit_is_not_held_against_physics():
     assert check_balance(laboratory_recording((d, f, x), limit_time=7.5)) == []
 
 
+@pytest.mark.slow(reason="converts several files")
 def test_a_mass_that_is_no_handles_or_not_the_one_set_to_is_refused(tmp_path):
     values = table()
     millimetres = np.hstack([values[:, :6], values[:, X] * 1e3])
@@ -506,6 +510,7 @@ def inner_error(recording, name="displacement"):
     return np.abs(recording[name].values - expected)[:, 20:-20].max() / np.abs(expected).max()
 
 
+@pytest.mark.slow(reason="converts several files")
 def test_gaps_are_refused_with_their_time_and_filled_if_asked(tmp_path):
     values = table()
     values[N_TIME + 600 : N_TIME + 605, 6] = np.nan
@@ -613,6 +618,7 @@ def test_without_times_dropped_samples_that_repeat_the_last_are_seen(tmp_path):
         import_recording([write(tmp_path, values)])
 
 
+@pytest.mark.slow(reason="converts several files")
 def test_a_drifting_clock_is_refused_with_its_rate_and_resampled_if_asked(tmp_path):
     true_rate = 199.3
     values = table(rate=true_rate)
@@ -648,6 +654,7 @@ def test_unequal_lengths_are_refused_and_cut_if_asked(tmp_path):
     assert "all are cut to the shortest" in found.notes[0]
 
 
+@pytest.mark.slow(reason="converts several files")
 def test_trials_are_not_cut_to_one_that_broke_off(tmp_path):
     path = write(tmp_path, table(3)[: 2 * N_TIME + 41])
     message = r"trial '3': it lasts 0.205 s, and half of the trials 6 s or longer; .*--repair trials leaves it out"
@@ -811,6 +818,7 @@ def test_exported_and_read_back_a_recording_is_the_same(tmp_path, ending):
             import_recording([tmp_path / "r.csv"])
 
 
+@pytest.mark.slow(reason="converts several files")
 def test_repairs_before_and_after_an_export_are_kept(tmp_path):
     values = table()
     values[600:603, 6] = np.nan

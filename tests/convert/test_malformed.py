@@ -447,6 +447,7 @@ def test_no_sidecar_is_written_of_a_million_columns(tmp_path, capsys):
     assert [path.name for path in tmp_path.iterdir()] == ["lab.csv"]
 
 
+@pytest.mark.slow(reason="converts several files")
 def test_what_does_not_go_together_is_refused(tmp_path):
     path = write(tmp_path, VALUES)
     good = netcdf(lambda content: content)(tmp_path)

@@ -109,6 +109,7 @@ def test_names_of_a_sensor_of_six_axes_are_read(tmp_path):
     assert channels == {"perturbation": ["motor_x", "motor_y"], "force": ["Fx1", "Fy1"], "displacement": ["X", "Y"]}
 
 
+@pytest.mark.slow(reason="converts several files")
 def test_labels_in_columns_other_dialects_and_places_in_a_room(tmp_path):
     values = as_laboratory(("s", "N", "m")) + np.array([0, 0, 0, 0, 0, 0, 0.1, 0.4])
     lines = as_text(values, ["trial", "t", "Dx", "Dy", "Fx", "Fy", "X", "Y"], ";", ",").splitlines()
@@ -154,6 +155,7 @@ def test_titles_above_the_names_and_units_below_them(tmp_path, above, units):
     assert_is_the_laboratory(import_recording([path]).recording)
 
 
+@pytest.mark.slow(reason="converts several files")
 def test_units_of_names_are_believed_before_those_below(tmp_path):
     names = ["trial", "t [s]", "motor_x", "motor_y", "gauge_x [N]", "gauge_y [N]", "pos_x_m", "pos_y_m"]
     header, rest = as_text(table(), names).split("\n", 1)
@@ -200,6 +202,7 @@ def test_a_device_that_imposes_movement_in_two_axes_is_said_to_be_unsupported(tm
         import_recording([path])
 
 
+@pytest.mark.slow(reason="converts several files")
 def test_two_channels_of_each_signal_are_two_axes_whatever_their_names(tmp_path):
     path = tmp_path / "lab.csv"
     names = ["trial", "t", "cmd_lr", "cmd_fb", "load_lr", "load_fb", "pos_lr", "pos_fb"]
@@ -213,6 +216,7 @@ def test_two_channels_of_each_signal_are_two_axes_whatever_their_names(tmp_path)
     assert f"move a mass of {MASS:g} kg" in written.notes[-1]
 
 
+@pytest.mark.slow(reason="converts several files")
 def test_a_rate_that_is_given_closes_the_only_open_field(tmp_path):
     path = tmp_path / "lab.csv"
     path.write_text(as_text(table()[:, [0, 2, 3, 4, 5, 6, 7]], ["trial", "Dx", "Dy", "Fx", "Fy", "X", "Y"]))
@@ -220,6 +224,7 @@ def test_a_rate_that_is_given_closes_the_only_open_field(tmp_path):
     assert_is_the_laboratory(import_recording([path]).recording)
 
 
+@pytest.mark.slow(reason="converts several files")
 def test_a_file_that_no_guess_explains_says_so(tmp_path):
     values = table()
     values[:, 4] = values[::-1, 4]

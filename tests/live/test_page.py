@@ -28,6 +28,7 @@ def data_of(page):
     return json.loads(re.search(r'<script type="application/json" id="data">(.*?)</script>', page, flags=re.S)[1])
 
 
+@pytest.mark.slow(reason="makes the page")
 def test_is_small_and_asks_for_nothing(page):
     assert len(page.encode()) < MOST_BYTES
     assert set(re.findall(r'(?:src|href)="([^"]*)"', page)) <= {"data:,", "#"}

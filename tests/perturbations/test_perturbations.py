@@ -435,6 +435,7 @@ def test_seeds_are_whole_numbers(draw, seed, error):
         draw(seed)
 
 
+@pytest.mark.slow(reason="draws many multisines")
 def test_no_phase_depends_on_what_numpy_does_with_errors():
     phases = Multisine.draw(seed=1, rms=1.0).phases
     with np.errstate(all="raise"):

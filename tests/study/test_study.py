@@ -232,6 +232,7 @@ def test_relaxed_people_give_way_many_times_more(study):
     assert ratio == pytest.approx(np.mean(gains[0] / gains[1]), rel=0.25)
 
 
+@pytest.mark.slow(reason="analyses a study")
 def test_trials_at_the_workspace_limit_are_left_out_by_name(tmp_path):
     hard = Pulse(peak=600.0, direction_deg=20.0, onset=0.1, duration=1.0)
     recording = run_experiment([Trial(subject=RELAX, perturbation=hard, condition=RT.name)])

@@ -243,6 +243,7 @@ def test_one_prepared_arm_serves_any_parameters():
     assert gradient.shape == (len(FREQUENCY), 2, 2, len(PARAMETERS))
 
 
+@pytest.mark.slow(reason="compares many arms")
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=25, deadline=None)
 def test_random_arms_with_every_feedback_are_the_same_in_state_space(seed):

@@ -93,6 +93,7 @@ def test_conditions_are_identified_together_and_share_what_is_asked_for(noisy_re
     assert first.detail is second.detail
 
 
+@pytest.mark.slow(reason="fits trials")
 def test_conditions_without_a_multisine_are_left_out_if_there_are_others(relax_recording):
     labels = relax_recording["condition"].values.copy()
     labels[3] = "RT0"
@@ -103,6 +104,7 @@ def test_conditions_without_a_multisine_are_left_out_if_there_are_others(relax_r
         identify_conditions(silent.isel(trial=[3]), "1")
 
 
+@pytest.mark.slow(reason="fits trials")
 def test_one_trial_is_enough(position_recording):
     result = identify(position_recording.isel(trial=[2]), "3b")
     assert len(result.spectra.frequency) == 18

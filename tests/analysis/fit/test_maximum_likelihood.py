@@ -209,6 +209,7 @@ def test_skew_of_the_clocks_is_remarked_upon(relax, relax_group):
     assert late_by(remarks) == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.slow(reason="fits trials")
 def test_a_force_of_wrong_scale_is_remarked_upon(relax):
     louder = relax.copy(deep=True)
     louder["force"] *= 1.1
@@ -302,6 +303,7 @@ def test_an_unstable_start_is_made_stable(position_group, of_position):
         assert found.values[name] == pytest.approx(value, abs=0.1 * usual.standard_error[name])
 
 
+@pytest.mark.slow(reason="fits trials")
 def test_where_even_the_default_start_is_unstable_the_search_begins_with_less_feedback(position):
     one_delay = STRUCTURES["3"].fixing(fact_s=3.5, fact_e=3.5).tying(Td_e={"Td_s": 1.0})
     start = one_delay.arm(POSITION, [*one_delay.initial.values()])
@@ -312,6 +314,7 @@ def test_where_even_the_default_start_is_unstable_the_search_begins_with_less_fe
     assert found.p_value > 0.01
 
 
+@pytest.mark.slow(reason="fits trials")
 def test_a_search_that_cannot_make_a_step_has_no_intervals(relax):
     others = {name: value for name, value in STRUCTURES["1"].initial.items() if name != "k_s"}
     wild = STRUCTURES["1"].fixing(kv_s=20.0, kv_e=20.0, **others)
@@ -338,6 +341,7 @@ def test_a_prior_is_weighed_with_the_trials_by_its_width():
         assert found.standard_error["k_s"] == pytest.approx(width * np.sqrt(share * found.dispersion), rel=0.05)
 
 
+@pytest.mark.slow(reason="fits trials")
 def test_a_prior_identifies_what_no_trial_does(relax):
     silent = STRUCTURES["1"].freeing(Td_s=(0.02, 0.03, 0.04)).knowing(Td_s=(0.031, 0.002))
     found = estimate([group_of(relax, silent)], "frequency")
@@ -345,6 +349,7 @@ def test_a_prior_identifies_what_no_trial_does(relax):
     assert found.standard_error["Td_s"] == pytest.approx(0.002 * np.sqrt(found.dispersion), rel=1e-6)
 
 
+@pytest.mark.slow(reason="fits trials")
 def test_structures_that_no_trial_identifies_are_refused_with_the_direction(relax):
     silent = STRUCTURES["1"].freeing(Td_s=(0.02, 0.03, 0.04))
     with pytest.raises(ValueError, match=r"Td_s cannot be identified: no effect on the movement"):
@@ -360,6 +365,7 @@ def test_structures_that_no_trial_identifies_are_refused_with_the_direction(rela
         estimate([group_of(relax, twice)])
 
 
+@pytest.mark.slow(reason="fits trials")
 def test_bad_input_is_refused_in_one_sentence(position, position_group, relax_group, of_position):
     for arguments, options, message in (
         (([],), {}, r"groups is empty; expected the trials of at least one condition"),

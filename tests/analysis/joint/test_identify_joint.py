@@ -76,6 +76,7 @@ def test_a_half_wave_that_is_asked_for_is_described_with_its_direction(recording
     np.testing.assert_allclose(limit.get_ydata(), quantile(0.95) ** 2)
 
 
+@pytest.mark.slow(reason="identifies a joint")
 def test_drift_counts_for_no_prediction(recording):
     signals = joint_signals(recording.isel(time=slice(0, 8000)))
     drifting = replace(signals, torque=signals.torque + 7.0 + np.linspace(0.0, 30.0, signals.torque.shape[1]))
@@ -243,6 +244,7 @@ def test_without_noise_a_force_servo_leaves_no_bias():
     np.testing.assert_allclose(fit.values, true, rtol=1e-3)
 
 
+@pytest.mark.slow(reason="identifies a joint")
 def test_what_follows_the_workspace_limit_does_not_count(recording):
     whole = recording.isel(time=slice(0, 8000))
     spoiled = whole.assign_coords(limit_time=("trial", [6.0], whole["limit_time"].attrs)).copy(deep=True)

@@ -44,6 +44,7 @@ def test_trials_too_short_to_start_from_are_refused():
         linear_arms({"PT7.5": shaken(9.0)})
 
 
+@pytest.mark.slow(reason="starts a nonlinear fit")
 def test_pulses_that_are_not_labelled_tell_the_linear_arm_to_start_from():
     pulses = [Pulse(peak=10.0, direction_deg=deg, onset=2.0, duration=6.0).sample(RATE, 2400) for deg in (20.0, 110.0)]
     trials = [

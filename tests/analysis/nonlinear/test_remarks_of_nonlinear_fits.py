@@ -46,6 +46,7 @@ def models(monkeypatch):
     return asked
 
 
+@pytest.mark.slow(reason="starts a nonlinear fit")
 def test_what_is_wrong_with_the_force_is_a_remark(recording):
     assert ap.identify_nonlinear(recording).estimate.remarks == ()
     large = recording.assign(force=1.1 * recording["force"])

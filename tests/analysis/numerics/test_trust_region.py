@@ -72,6 +72,7 @@ def drawn(n_problems, seed=0):
         yield problem, rng.uniform(-0.5, 0.5, N)
 
 
+@pytest.mark.slow(reason="solves many problems with SciPy")
 @pytest.mark.parametrize("limit", [0.2, 0.6, np.inf])
 def test_optima_are_those_of_scipy(limit):
     bound, active = np.full(N, limit), []
@@ -87,6 +88,7 @@ def test_optima_are_those_of_scipy(limit):
     assert np.mean(active) > 0.1 if np.isfinite(limit) else not any(active)
 
 
+@pytest.mark.slow(reason="solves many problems with SciPy")
 def test_tolerances_mean_what_they_mean_to_scipy():
     bound = np.full(N, 0.4)
     for options in ({"ftol": 1e-3, "xtol": 1e-12}, {"ftol": 1e-14, "xtol": 1e-2}, {"ftol": 1e-14, "xtol": 1e-14}):

@@ -117,6 +117,7 @@ def test_a_negative_stiffness_is_not_trusted():
     assert "exerted_by" in turned.text
 
 
+@pytest.mark.slow(reason="fits and draws a page")
 def test_the_page_of_a_rejected_joint_points_to_no_list_of_causes(result, tmp_path):
     write_joint_page(replace(result, lack_of_fit=LARGE), tmp_path / "identify.html", Origin())
     page = (tmp_path / "identify.html").read_text()

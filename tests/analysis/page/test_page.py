@@ -190,6 +190,7 @@ def test_numbers_are_those_of_the_results(identified, content):
         assert (check.clipped, check.held) == ({}, 0.0)
 
 
+@pytest.mark.slow(reason="fits and draws a page")
 @pytest.mark.usefixtures("blank_pictures")
 def test_a_fit_to_pulses_alone_has_a_page(tmp_path):
     pulsed = Setup(arm=AS_MODEL_1, kind="pulses", seed=1, n_trials=6, duration=6.0, linear=True)

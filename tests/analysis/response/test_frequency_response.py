@@ -343,6 +343,7 @@ def test_bands_touch_the_circle():
     assert bands.phase_high[1] - bands.phase_low[1] == pytest.approx(2 * np.pi)
 
 
+@pytest.mark.slow(reason="estimates many spectra")
 def test_bad_input_is_refused(excited):
     recording, _ = excited["clusters"]
     with pytest.raises(ValueError, match=r"does not repeat after 5\.12 s"):

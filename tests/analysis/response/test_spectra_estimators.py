@@ -384,6 +384,7 @@ def test_records_end_at_the_pulse_of_each_trial(load):
     assert [len(record.perturbation) for record in joint_records(cut)] == [2400, 6000]
 
 
+@pytest.mark.slow(reason="estimates many spectra")
 def test_several_recordings_may_have_several_lengths(load):
     shorter = load.isel(trial=[0], time=slice(0, 3000))
     found = response([load.isel(trial=[1]), shorter], "arx", BELOW_20)

@@ -183,11 +183,13 @@ def test_units_are_those_of_the_recording():
     assert "reflex_damping_ratio 0.8, reflex_threshold -0.2 m/s" in replace(line, dynamics=reflex).summary()
 
 
+@pytest.mark.slow(reason="fits an ensemble")
 def test_an_ensemble_may_be_of_a_length_at_which_an_offset_is_exactly_nothing():
     angle, torque = measured(100.0, 6, 1.2, 0.1)  # 200 samples count: sums over periods are zero without rounding
     assert identify_varying(recorded(angle, torque), reflex="none").vaf > 99.0
 
 
+@pytest.mark.slow(reason="fits an ensemble")
 def test_repetitions_that_met_the_workspace_limit_are_left_out():
     angle, torque = measured(100.0, 6, 1.2, 0.1)
     met = ("trial", [1.0, *[np.nan] * 5])
@@ -196,6 +198,7 @@ def test_repetitions_that_met_the_workspace_limit_are_left_out():
     assert "1 of 6 trials met the workspace limit (limit_time) and are left out" in estimate.summary()
 
 
+@pytest.mark.slow(reason="fits an ensemble")
 def test_between_two_postures_nothing_is_known():
     angle, torque = measured(100.0, 2, 6.0, 0.0)
     posture = np.broadcast_to([[0.0], [0.05]], angle.shape)
@@ -206,6 +209,7 @@ def test_between_two_postures_nothing_is_known():
     np.testing.assert_allclose(estimate.curves["stiffness"].value[[0, -1]], 100.0, rtol=0.01)
 
 
+@pytest.mark.slow(reason="fits an ensemble")
 def test_a_drift_of_the_torque_is_not_counted():
     angle, torque = measured(100.0, 2, 6.0, 0.1)
     slow = 0.2 * np.sin(np.arange(angle.shape[1]) / RATE + [[0.0], [2.0]])

@@ -115,6 +115,7 @@ def test_contraction_moves_torques_and_thresholds():
     assert person.muscle.of_elements("spindle_threshold")[0] == pytest.approx(0.1)
 
 
+@pytest.mark.slow(reason="simulates")
 def test_movement_of_an_ensemble_is_kept_fast_enough_for_the_half_wave():
     person = half_wave(ANKLE, 0.1)
     steps = [random_steps(seed=i, duration=2.6, size=0.06, hold=0.1) for i in range(4)]
@@ -169,6 +170,7 @@ def test_noise_has_the_ratio_that_is_asked_for(kind, name, neutral):
     assert 20 * np.log10(clean.std() / (noisy - clean).std()) == pytest.approx(15.0, abs=0.3)
 
 
+@pytest.mark.slow(reason="simulates")
 def test_recordings_are_saved_and_repeat(tmp_path):
     trials = [JointTrial(person=ANKLE, perturbation=random_noise(seed=i, duration=1.0)) for i in range(2)]
     recording = run_joint_experiment(trials, servo_of("ankle", "force"), n_threads=2)

@@ -115,6 +115,7 @@ def at_rest(laboratory):
     return data
 
 
+@pytest.mark.slow(reason="simulates")
 def test_muscles_hold_the_posture_and_stiffen_with_their_activation(files):
     for level in (0.1, 0.3):
         laboratory = muscle_arm(files, activation=level, posture_deg={"q1": 10.0, "q2": -20.0})

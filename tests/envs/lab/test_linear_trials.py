@@ -64,6 +64,7 @@ def test_a_torque_at_the_joints_obeys_the_laws_of_the_hand_and_of_the_environmen
     np.testing.assert_allclose(balance, [0.3, -0.2], rtol=2e-2)
 
 
+@pytest.mark.slow(reason="simulates")
 def test_it_is_as_large_as_the_perturbation_and_the_same_at_any_number_of_threads():
     noisy = trials(POSITION, n=4, duration=4.0, rms=3.0, noise=HUMAN_NOISE["PT"])
     one, many = (run_experiment(noisy, linear=True, instruments=Instruments(), n_threads=n) for n in (1, 4))

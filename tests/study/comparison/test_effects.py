@@ -138,6 +138,7 @@ def test_an_effect_on_the_gain_counts_over_four_points(people):
     assert lonely.any()
 
 
+@pytest.mark.slow(reason="analyses several studies")
 def test_whoever_lacks_a_condition_is_left_out_by_name(people, tested):
     first = people[0]
     without = replace(first, trials=tuple(t for t in first.trials if t.condition != "PT2.5"))
@@ -147,6 +148,7 @@ def test_whoever_lacks_a_condition_is_left_out_by_name(people, tested):
     assert any("without S01, who has no value in PT2.5" in line for line in found.remarks)
 
 
+@pytest.mark.slow(reason="analyses several studies")
 def test_pulses_are_compared_over_the_directions_that_a_person_has_in_all_conditions(people):
     def both_ways(trials, lost=""):
         """Each trial at 20 degrees, and one that goes twice as far at 200, which one condition may have lost."""
@@ -216,6 +218,7 @@ def test_levels_that_nobody_has_peaks_of_do_not_end_the_tests(people):
     assert "peak displacement, PT: not tested, as no level of pulses was measured in every condition" in found.remarks
 
 
+@pytest.mark.slow(reason="analyses several studies")
 def test_a_condition_of_which_no_pulse_was_measured_is_named(people):
     lost = effects(study_of(without_peaks(people, lambda _, t: t.condition == "PT2.5")))
     assert "peak displacement, PT: without PT2.5, in which no pulse was measured" in lost.remarks
@@ -230,6 +233,7 @@ def test_too_few_people_are_told():
     assert "k_s, PT: not tested, as 2 people have a value in every condition" in found.remarks
 
 
+@pytest.mark.slow(reason="analyses several studies")
 def test_conditions_and_levels_of_ones_own_are_tested_likewise(people, tested):
     own = effects(renamed(study_of(people)))
     assert [row["p"] for row in own.rows] == [row["p"] for row in tested.rows]

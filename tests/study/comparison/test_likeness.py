@@ -42,6 +42,7 @@ def test_a_person_is_human_and_an_arm_of_iron_is_not():
         assert len(told_apart.plot()) == 2
 
 
+@pytest.mark.slow(reason="analyses several studies")
 def test_signs_that_no_handle_has_are_remarked_on():
     recording = linear_trial(ap.POSITION)
     likeness = ap.compare(recording, "thesis", ideal=True)

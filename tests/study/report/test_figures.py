@@ -268,6 +268,7 @@ def test_joint_parameters_are_by_both_estimators(likely):
     assert not any(texts(ax) for ax in panels[:, 1])
 
 
+@pytest.mark.slow(reason="draws figures")
 def test_one_joint_muscles_are_joints_less_the_two_joint_muscles(likely):
     figure = parameter_figures.muscle_parameters(likely, {"RT": {"k_e*": 0.001, "k_e": 0.02, "k_s": 0.02}})
     position, relax = np.array(figure.axes).reshape(4, 2).T
@@ -570,6 +571,7 @@ def test_one_person_has_whole_marks_and_no_interval_in_the_legend(invented):
     assert low < 0.0
 
 
+@pytest.mark.slow(reason="draws figures")
 @pytest.mark.parametrize(
     "names",
     [
@@ -608,6 +610,7 @@ def test_names_of_the_thesis_stand_as_they_are():
     assert [label.get_text() for label in ax.get_xticklabels()] == names
 
 
+@pytest.mark.slow(reason="draws figures")
 def test_registry_holds_what_the_study_allows(recorded):
     everything = drawings(recorded, NOTHING, None).keys()
     assert everything == NAMES | {"pulse_signal", "joint_rotations"}
@@ -628,6 +631,7 @@ def test_registry_holds_what_the_study_allows(recorded):
     assert drawings(replace(recorded, people=tuple(poor)), NOTHING, None).keys() == everything - {"vaf"}
 
 
+@pytest.mark.slow(reason="draws figures")
 def test_conditions_of_ones_own_have_the_same_figures_but_for_what_is_printed(recorded):
     own = renamed(replace(recorded, recordings={}))
     drawn = drawings(own, NOTHING, None)
@@ -652,6 +656,7 @@ def test_registry_draws_what_it_holds(recorded):
             assert draw().axes, name
 
 
+@pytest.mark.slow(reason="draws figures")
 def test_registry_draws_one_person_in_one_task(recorded):
     first = recorded.people[0]
     alone = replace(

@@ -65,6 +65,7 @@ def test_figures_depend_on_what_they_show(study, moved, monkeypatch):
     assert not [name for name, source in sources(study).items() if source == before[name]]
 
 
+@pytest.mark.slow(reason="starts a process")
 def test_the_program_is_its_files_and_the_libraries_that_draw(tmp_path, monkeypatch):
     checksum = pictures.program.__wrapped__
     assert checksum() == checksum()

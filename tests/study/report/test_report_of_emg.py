@@ -48,6 +48,7 @@ def test_means_tests_and_figures_are_of_people_of_one_unit():
     assert len(emg_drawings(study)["emg_cocontraction"].args[0]) == 3
 
 
+@pytest.mark.slow(reason="simulates trials with EMG")
 def test_contractions_that_last_for_a_part_of_their_trial_have_no_level(tmp_path):
     contracted = np.zeros(20_000)
     contracted[2_000:12_000] = 1.0
@@ -63,6 +64,7 @@ def test_contractions_that_last_for_a_part_of_their_trial_have_no_level(tmp_path
     assert [row.amplitude for row in told.levels if row.condition == "PT7.5"] == pytest.approx([0.1, 0.1], rel=0.1)
 
 
+@pytest.mark.slow(reason="simulates trials with EMG")
 def test_a_contraction_recorded_with_the_relax_task_is_no_relaxation(tmp_path):
     amplitude = np.array([0.5, 0.1, 0.01, 0.0])
     volts = amplitude[:, None, None] * noise((4, 2, 20_000))

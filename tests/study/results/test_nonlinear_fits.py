@@ -161,6 +161,7 @@ def fit_is_truth(monkeypatch):
     return asked
 
 
+@pytest.mark.slow(reason="predicts many pulses")
 def test_the_true_person_predicts_all_of_a_pulse_and_linear_ones_as_elsewhere(yielding, fit_is_truth):
     found = fit_nonlinear(yielding, "RT", [case_of(True, True)])
     assert found.failed == ""
