@@ -96,9 +96,12 @@ def with_linear_part(
       measured: estimated H_xf [m/N], (frequency, output, input).
       body: gives the task.
       structure: what is free.
-      guess: values of the free parameters, (parameter,); it is the answer where H - G has no inverse.
+      guess: values of the free parameters, (parameter,); it is the answer where H - G has no inverse, or nothing is
+        linear.
     """
     linear = np.asarray(~structure.mixing[_NONLINEAR].any(axis=0))
+    if not linear.any():
+        return guess
     values = np.where(linear, 0.0, guess)
     others = structure.parameters(body.task, values)
     b_h, k_h = (others[PARAMETERS.index(name)] for name in ("b_h", "k_h"))

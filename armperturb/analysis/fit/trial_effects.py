@@ -161,15 +161,19 @@ def fit_mixed(trials: Sequence[TrialScore], n_parameters: int, assumed: float | 
         spread = np.where(tells, assumed, 0.0)
         solved = solve(spread)
         return Mixed(spread, solved.slope, solved.information, loose, np.full(n_parameters, np.inf))
+    alike = solve(np.zeros(n_quantities))
+    as_alike = Mixed(np.zeros(n_quantities), alike.slope, alike.information, loose, np.full(n_parameters, np.inf))
+    if not tells.any():
+        return as_alike
     bounds = [tuple(np.log(RANGE))] * int(tells.sum())
     start = np.full(len(bounds), np.log(START))
     logarithms = optimize.minimize(
         lambda v: solve(spread_of(v))[:2], start, jac=True, method="L-BFGS-B", bounds=bounds
     ).x
     spread = spread_of(logarithms)
-    alike, solved = solve(np.zeros(n_quantities)), solve(spread)
+    solved = solve(spread)
     if solved.deviance > alike.deviance - TOLD:
-        return Mixed(np.zeros(n_quantities), alike.slope, alike.information, loose, np.full(n_parameters, np.inf))
+        return as_alike
 
     def gradient_and_variances(values: Array) -> tuple[Array, Array]:
         solved = solve(spread_of(values))

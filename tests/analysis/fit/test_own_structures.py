@@ -267,3 +267,14 @@ def test_priors_stay_where_only_bounds_change():
     known = MODEL_3.knowing(m_f=(1.8, 0.3))
     assert with_options(known, bounds=["m_f=1:3"]).prior == {"m_f": (1.8, 0.3)}
     assert edited(known, name="fixed", fixed={"PT": {"m_f": 1.8}, "RT": {"m_f": 1.8}}).prior == {}
+
+
+@pytest.mark.slow(reason="fits trials")
+@pytest.mark.parametrize("free", [("m_h",), ("b_h",), ("k_h",), ("m_h", "b_h")])
+@pytest.mark.parametrize("estimator", ["record", "frequency"])
+def test_what_alone_is_free_is_estimated(free, estimator, relax_recording):
+    known = {name: getattr(RELAX, name) for name in MODEL_3.free if name not in free}
+    fit = identify(relax_recording, MODEL_3.fixing(**known).named("the rest is known"), estimator=estimator).fit
+    assert fit.converged
+    for name in free:
+        assert fit.values[name] == pytest.approx(getattr(RELAX, name), rel=0.03)
