@@ -92,12 +92,13 @@ def test_findings_of_some_people_say_of_how_many(study):
     assert "intervals of the mean over people." in text
 
 
-def test_a_difference_between_tasks_is_said_with_the_doubt_about_it(study):
+def test_a_finding_is_said_with_the_doubt_about_it(study):
     settled = replace(findings(study)["tasks"], mean=4.0, lower=2.0, upper=8.0)
     for finding, said in ((settled, ""), (replace(settled, lower=0.5, upper=32.0), "; the interval includes 1")):
         assert f"as when holding the position{said}." in summary(study, tasks=finding)
         text = section(study, "admittance", findings={"tasks": finding}, tasks={}, main={})
         assert f"as people who hold the position{said}; from some" in text
+        assert f"to the multisine before it{said}." in summary(study, excess=finding)
 
 
 def test_a_study_whose_pulses_were_all_lost_says_so_at_the_top(study):
