@@ -18,7 +18,7 @@ from armperturb.study.experiments.moving_shoulder import MovingShoulder, moving_
 from armperturb.study.recording.folder import ANALYSIS, require_own_results
 from armperturb.study.recording.record import worker_count
 from armperturb.study.report.emg import emg_drawings, emg_rows
-from armperturb.study.report.figures.catalogue import drawings
+from armperturb.study.report.figures.catalogue import Drawings, drawings, drawings_of_yielding
 from armperturb.study.report.films import film_units
 from armperturb.study.report.findings import excess_rows, finding_rows, findings
 from armperturb.study.report.nonlinear_tables import nonlinear_tables
@@ -86,25 +86,25 @@ def write_report(
         if scored is not None:
             write_score(scored, out / "score")
         simulations = _simulations(study, out) if simulate else {}
-        # What figures need, and what else keeps workers busy meanwhile.
-        first = [*simulations.values(), *played_units(study, checksums, out)]
-        with Progress("simulations", total=len(first), unit="simulations", show=show_progress) as bar:
-            results = kept_or_computed(first, pool, bar)
-        simulated = dict(zip(simulations, results, strict=False))
-        yielding, shoulder = simulated.get("mechanisms"), simulated.get("moving-shoulder")
-        every = {**drawings(study, tested, yielding), **emg_drawings(study)}
-        draws = {name: draw for name, draw in every.items() if figures is None or name in figures}
+        draws = _wanted({**drawings(study, tested), **emg_drawings(study)}, figures)
         pulses = draws["stills"].args[-1] if "stills" in draws else ()
-        # What takes longest comes first, so that workers end together.
+        # What others wait for and what takes longest comes first, so that workers end together.
         kinds: dict[str, list[Unit[Any]]] = {
+            "simulated": list(simulations.values()),
             "films": film_units(pulses, checksums, out),
             "drawn": picture_units(draws, checksums, out),
+            "played": played_units(study, checksums, out),
         }
         units = [unit for of_kind in kinds.values() for unit in of_kind]
         with Progress("figures", total=len(units), unit="figures", show=show_progress) as bar:
-            drawn_or_kept = iter(kept_or_computed(units, pool, bar))
-    made = {kind: list(islice(drawn_or_kept, len(of_kind))) for kind, of_kind in kinds.items()}
-    drawn, played = dict(zip(draws, made["drawn"], strict=True)), played_data(results[len(simulations) :])
+            computed_or_kept = iter(kept_or_computed(units, pool, bar))
+        made = {kind: list(islice(computed_or_kept, len(of_kind))) for kind, of_kind in kinds.items()}
+        simulated = dict(zip(simulations, made["simulated"], strict=True))
+        yielding, shoulder = simulated.get("mechanisms"), simulated.get("moving-shoulder")
+        later = _wanted(drawings_of_yielding(yielding) if yielding else {}, figures)
+        with Progress("figures of the muscle law", total=len(later), unit="figures", show=show_progress) as bar:
+            explained = kept_or_computed(picture_units(later, checksums, out), pool, bar)
+    drawn = dict(zip([*draws, *later], [*made["drawn"], *explained], strict=True))
     (out / "figures").mkdir(exist_ok=True)
     pictures = {out / "figures" / f"{name}.svg": each for name, each in drawn.items() if isinstance(each, Picture)}
     with written_together(pictures) as temporary:
@@ -132,7 +132,7 @@ def write_report(
         yielding=yielding,
         shoulder=shoulder,
         drawn=drawn,
-        played=played,
+        played=played_data(made["played"]),
         films=films,
         stills=[str(trial["task"].values[0]) for trial in pulses],
     )
@@ -140,6 +140,10 @@ def write_report(
     report = out / "report.html"
     write_whole(report, page)
     return report
+
+
+def _wanted(draws: Drawings, figures: Collection[str] | None) -> Drawings:
+    return {name: draw for name, draw in draws.items() if figures is None or name in figures}
 
 
 def _simulations(study: StudyResult, out: Path) -> dict[str, Unit[Any]]:

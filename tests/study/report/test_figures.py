@@ -612,30 +612,30 @@ def test_names_of_the_thesis_stand_as_they_are():
 
 @pytest.mark.slow(reason="draws figures")
 def test_registry_holds_what_the_study_allows(recorded):
-    everything = drawings(recorded, NOTHING, None).keys()
+    everything = drawings(recorded, NOTHING).keys()
     assert everything == NAMES | {"pulse_signal", "joint_rotations"}
     cohort = (replace(average_person(), name="S01"),)
     known = replace(recorded, cohort=cohort)
-    assert drawings(known, NOTHING, None).keys() == NAMES | {"pulse_signal", "joint_rotations", "stills", "rig"}
+    assert drawings(known, NOTHING).keys() == NAMES | {"pulse_signal", "joint_rotations", "stills", "rig"}
     of_pulses = {"pulse_signal", "joint_rotations", "stills", "rig"}
-    assert drawings(replace(known, cases=(), people=()), NOTHING, None).keys() == of_pulses
+    assert drawings(replace(known, cases=(), people=()), NOTHING).keys() == of_pulses
     unpulsed = tuple(replace(c, pulse_levels=()) for c in recorded.protocol.conditions if c.has_multisine)
     without = replace(recorded, protocol=replace(recorded.protocol, conditions=unpulsed))
-    assert "pulse_directions" not in drawings(without, NOTHING, None)
+    assert "pulse_directions" not in drawings(without, NOTHING)
     nobody = replace(recorded, cases=(), people=(), recordings={})
-    assert drawings(nobody, NOTHING, None) == {}
-    without_people = drawings(replace(recorded, people=()), NOTHING, None)
+    assert drawings(nobody, NOTHING) == {}
+    without_people = drawings(replace(recorded, people=()), NOTHING)
     assert not without_people.keys() & {"vaf", "penalty", "peak_displacement", "joint_parameters_PT"}
     # The figure of the VAF shows trials that are positive along both axes, and there is none.
     poor = [replace(p, trials=tuple(t._replace(vaf_linear=(40.0, -3.0)) for t in p.trials)) for p in recorded.people]
-    assert drawings(replace(recorded, people=tuple(poor)), NOTHING, None).keys() == everything - {"vaf"}
+    assert drawings(replace(recorded, people=tuple(poor)), NOTHING).keys() == everything - {"vaf"}
 
 
 @pytest.mark.slow(reason="draws figures")
 def test_conditions_of_ones_own_have_the_same_figures_but_for_what_is_printed(recorded):
     own = renamed(replace(recorded, recordings={}))
-    drawn = drawings(own, NOTHING, None)
-    assert drawn.keys() == drawings(replace(recorded, recordings={}), NOTHING, None).keys()
+    drawn = drawings(own, NOTHING)
+    assert drawn.keys() == drawings(replace(recorded, recordings={}), NOTHING).keys()
     for name in ("peak_displacement", "pulse_admittance", "pulse_prediction", "vaf"):
         labels = [label.get_text() for ax in drawn[name]().axes for label in ax.get_xticklabels()]
         assert any(label.startswith("own PT7.5") for label in labels), name
@@ -650,7 +650,7 @@ def test_conditions_of_ones_own_have_the_same_figures_but_for_what_is_printed(re
 
 @pytest.mark.slow(reason="draws all figures")
 def test_registry_draws_what_it_holds(recorded):
-    for name, draw in drawings(recorded, NOTHING, None).items():
+    for name, draw in drawings(recorded, NOTHING).items():
         # These need what the multisine trials of a recording hold.
         if name not in ("perturbation", "prediction_PT", "prediction_RT"):
             assert draw().axes, name
@@ -666,7 +666,7 @@ def test_registry_draws_one_person_in_one_task(recorded):
     )
     relaxed = Protocol(conditions=(recorded.protocol.condition("RT7.5"),))
     lonely = replace(recorded, protocol=relaxed, cases=(), people=(alone,), recordings={})
-    drawn = drawings(lonely, NOTHING, None)
+    drawn = drawings(lonely, NOTHING)
     assert {"peak_displacement", "pulse_admittance", "joint_parameters_RT", "muscle_parameters"} <= drawn.keys()
     for name, draw in drawn.items():
         assert len(draw().axes) <= 4, name
@@ -683,7 +683,7 @@ def test_registry_marks_significant_effects(recorded):
         parameters={("RT", "k_s"): 0.001, ("PT", "k_e"): 0.04, ("RT", "k_e*"): 0.02},
         levels={"PT0": 0.001},
     )
-    drawn = drawings(recorded, effects, None)
+    drawn = drawings(recorded, effects)
     gain = drawn["admittance_by_amplitude_PT"]().axes[0]
     assert marked(gain)[0] == [FREQUENCY[2:5].tolist(), FREQUENCY[:2].tolist()]
     relax = np.array(drawn["joint_parameters_RT"]().axes).reshape(2, 2)

@@ -18,7 +18,7 @@ from tests.studies import plain_picture, sketch
 
 def sources(study):
     """Figure to what it is drawn from."""
-    draws = drawings(study, effects(study), None)
+    draws = drawings(study, effects(study))
     checksums = {path.name: checksum(path) for path in study.recordings.values()}
     units = picture_units(draws, checksums, Path())
     return {name: unit.cached.source for name, unit in zip(draws, units, strict=True)}

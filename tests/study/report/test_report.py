@@ -140,7 +140,7 @@ def page(written):
 
 
 def possible_figures(study):
-    return set(drawings(study, effects(study), None)) - {"rig", "stills"}
+    return set(drawings(study, effects(study))) - {"rig", "stills"}
 
 
 def shown_figures(page):

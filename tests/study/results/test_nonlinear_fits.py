@@ -312,7 +312,7 @@ def test_estimates_beyond_the_axis_stand_at_its_end():
     low, high = ax.get_xlim()
     points = [(line.get_marker(), float(line.get_xdata()[0])) for line in ax.lines if line.get_marker() != "None"]
     assert points == [("o", 1.0), ("<", pytest.approx(low)), (">", pytest.approx(high))]
-    drawn = drawings(study, NO_EFFECTS, None)
+    drawn = drawings(study, NO_EFFECTS)
     names = {name for name in drawn if name.startswith("nonlinear")}
     assert names == {"nonlinear_parameters_RT", "nonlinear_prediction", "nonlinear_trajectories_RT"}
 

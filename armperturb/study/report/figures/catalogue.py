@@ -42,13 +42,12 @@ CLEARLY = 0.01
 """Level of the thesis's second star [-]."""
 
 
-def drawings(study: StudyResult, effects: Effects, yielding: Yielding | None) -> Drawings:
+def drawings(study: StudyResult, effects: Effects) -> Drawings:
     """Figures by name; drawing one may raise RuntimeError, if this machine cannot draw the rig.
 
     Args:
       study: analysed; its recordings must still be there.
       effects: whose significant ones are marked.
-      yielding: why people yield; None if nobody asked.
 
     Raises:
       OSError: a recording is gone.
@@ -59,11 +58,16 @@ def drawings(study: StudyResult, effects: Effects, yielding: Yielding | None) ->
     drawn |= _of_laws(replace(study, nonlinear=whole.nonlinear))
     if study.cohort:
         drawn["rig"] = partial(rig_figures.rig, study)
-    if yielding is not None:
-        drawn["yielding_loops"] = partial(yielding_figures.loops, yielding)
-        drawn["yielding_admittance"] = partial(yielding_figures.admittance, yielding)
-        drawn["yielding_pulses"] = partial(yielding_figures.pulses, yielding)
     return dict(sorted(drawn.items(), key=lambda item: item[0] not in SLOW))
+
+
+def drawings_of_yielding(yielding: Yielding) -> Drawings:
+    """Figures of why people yield, by name."""
+    return {
+        "yielding_loops": partial(yielding_figures.loops, yielding),
+        "yielding_admittance": partial(yielding_figures.admittance, yielding),
+        "yielding_pulses": partial(yielding_figures.pulses, yielding),
+    }
 
 
 def _of_cases(study: StudyResult, effects: Effects) -> Drawings:
