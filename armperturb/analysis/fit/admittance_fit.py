@@ -7,7 +7,8 @@ information, and with the sum of squares over N = 4 n_f they are twice the scatt
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -128,7 +129,7 @@ def fit_admittance(
     structure = structure_of(structure)
     problem = admittance_problem.checked_problem(target, structure, delay)
     first = _checked_initial(structure, body.task, initial)
-    _require_identifiable(problem, structure, first)
+    _require_identifiable(target, structure, delay, problem.weight, first)
     if as_published:
         # Loads slowly, and few analyses need it.
         from armperturb.analysis.fit.published_search import search_as_published
@@ -152,34 +153,66 @@ def fit_admittance(
     return _judged(problem, body, structure, best.x, best.status, use_penalty)
 
 
-def _require_identifiable(problem: admittance_problem.AdmittanceProblem, structure: Structure, start: Array) -> None:
+def _require_identifiable(
+    target: admittance_problem.Target, structure: Structure, delay: Delay, weight: Array, start: Array
+) -> None:
     """Refuse a structure in which some direction of the parameters changes no response.
-
-    What has no effect at the start may have some elsewhere, as a delay has none without gains: only what has none at
-    random places within the bounds either is refused.
 
     Raises:
       ValueError: there is such a direction.
     """
-    rng, place = np.random.default_rng(0), start
+    frequency = np.asarray(target.frequency, dtype=float)
+    silent = _silent_direction(
+        structure, target.body, delay, frequency.tobytes(), (weight > 0.0).tobytes(), start.tobytes()
+    )
+    if silent is None:
+        return
+    parts = [
+        f"{share:+.2g} {unit(name)} of {name}" for share, name in zip(silent, structure.free, strict=True) if share
+    ]
+    raise ValueError(
+        f"model {structure.name} cannot be identified from {frequency.size} frequencies: "
+        f"{', '.join(parts)} change no response; expected fewer free parameters"
+    )
+
+
+@lru_cache(maxsize=256)
+def _silent_direction(
+    structure: Structure, body: Subject, delay: Delay, frequency: bytes, is_used: bytes, start: bytes
+) -> tuple[float, ...] | None:
+    """A direction of the free parameters that changes no response, whatever the admittance; None if there is none.
+
+    What has no effect at the start may have some elsewhere, as a delay has none without gains: only what has none at
+    random places within the bounds either counts. Remembered, as all trials of a condition ask the same.
+
+    Args:
+      structure: what is free.
+      body: gives task, segments and posture.
+      delay: "exact" or "pade".
+      frequency: [Hz], (frequency,), the bytes of it, as of the next two.
+      is_used: whether each element of the admittance counts, (frequency, output, input).
+      start: values of the free parameters, SI, (parameter,).
+    """
+    of = np.frombuffer(frequency)
+    used = np.frombuffer(is_used, dtype=bool).reshape(-1, 2, 2)
+    target = admittance_problem.Target(
+        frequency=of, admittance=np.ones(used.shape), body=body, environment=Environment()
+    )
+    problem = replace(admittance_problem.checked_problem(target, structure, delay), weight=used.astype(float))
+    first = np.frombuffer(start)
+    rng, place = np.random.default_rng(0), first
     for share in (0.1, 0.3, None):
         slope = admittance_problem.stack(problem.log_error_and_slope(place)[1])
         silent = admittance_problem.silent_directions(slope)
         if not silent.size:
-            return
+            return None
         if share is not None:
-            place = start + share * (rng.uniform(problem.lower, problem.upper) - start)
+            place = first + share * (rng.uniform(problem.lower, problem.upper) - first)
     effect = np.linalg.norm(slope, axis=0)
     direction = silent[0] / np.where(effect > 0, effect, 1.0)
     direction[np.abs(silent[0]) < 1e-3] = 0.0
     direction /= np.abs(direction).max()
-    parts = [
-        f"{share:+.2g} {unit(name)} of {name}" for share, name in zip(direction, structure.free, strict=True) if share
-    ]
-    raise ValueError(
-        f"model {structure.name} cannot be identified from {problem.frequency.size} frequencies: "
-        f"{', '.join(parts)} change no response; expected fewer free parameters"
-    )
+    return tuple(direction.tolist())
 
 
 def _judged(

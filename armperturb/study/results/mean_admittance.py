@@ -1,16 +1,17 @@
 """Admittance of a condition over its subjects."""
 
 from collections.abc import Collection
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from armperturb.arrays import Array
-from armperturb.plots.bands import Curve
-from armperturb.plots.style import colours_for
 from armperturb.study.protocol import Condition
 from armperturb.study.results.study_result import StudyResult
 from armperturb.subject import TASKS
+
+if TYPE_CHECKING:
+    from armperturb.plots.bands import Curve
 
 
 def by_task(study: StudyResult) -> dict[str, list[Condition]]:
@@ -87,8 +88,12 @@ def mean_admittance(study: StudyResult, condition: str) -> MeanAdmittance:
     )
 
 
-def mean_curves(study: StudyResult) -> list[Curve]:
+def mean_curves(study: StudyResult) -> list["Curve"]:
     """Mean admittance of each condition, with one SD over subjects to either side where there are several."""
+    # An analysis draws nothing, and is spared Matplotlib.
+    from armperturb.plots.bands import Curve
+    from armperturb.plots.style import colours_for
+
     curves = []
     for condition, colour in zip(study.conditions, colours_for(len(study.conditions)), strict=True):
         mean = mean_admittance(study, condition.name)
