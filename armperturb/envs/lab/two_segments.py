@@ -121,9 +121,11 @@ def segments_of(
         return segments
     hinges = model.jnt_qposadr[joints]
     signs = np.sign(data.xaxis[joints, 2]) * (-1.0 if is_left else 1.0)
-    offsets = np.round(_wrapped(angle - signs * data.qpos[hinges]), EXACT - 2)
+    offsets = np.round(angle - signs * data.qpos[hinges], EXACT - 2)  # not wrapped: recorded angles start at `angle`
     return replace(segments, hinges=tuple(map(int, hinges)), signs=tuple(signs), offsets=tuple(offsets + 0.0))
 
 
 def _wrapped(angle: Array) -> Array:
-    return (angle + np.pi) % (2.0 * np.pi) - np.pi
+    """Above -pi, up to pi [rad]; what is -pi within rounding becomes pi."""
+    most = np.pi + 10.0 ** (2 - EXACT)
+    return most - (most - angle) % (2.0 * np.pi)

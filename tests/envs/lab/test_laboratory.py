@@ -12,6 +12,7 @@ from foreign_models import DAMPING, MUSCLE_ARM, STIFFNESS, TWO_LINK, two_link_in
 
 import armperturb as ap
 from armperturb.analysis.fit.own_structures import composed
+from armperturb.analysis.measures.kinematics import joint_rotations
 from armperturb.envs.lab.posture import lock_joints
 from armperturb.envs.lab.stretch_reflex import PlanarReflexes
 from armperturb.models.rig import build_arm, build_model
@@ -282,6 +283,24 @@ def test_coupled_joints_of_a_keyframe_follow_a_posture():
 
 
 BEND = (0.0, 2.5)
+
+
+@pytest.mark.parametrize(
+    ("key", "turn_deg", "posture_deg"),
+    [
+        ("2.75 -1.43", 0.0, (22.437, 81.933)),  # a left arm whose upper arm is along x at zero
+        ("0 -1.4", 0.0, (180.0, 80.214)),
+        ("2.7 -1.4", np.degrees(2.7), (180.0, 80.214)),  # a rounding error below -180
+        ("-2.97 1.4", 160.0, (29.832, 80.214)),
+    ],
+)
+def test_recorded_angles_start_at_the_posture_wherever_hinges_have_their_zero(key, turn_deg, posture_deg):
+    laboratory = ap.Laboratory(hinges(WIDE, WIDE, key=key), "palm", keyframe="home", turn_deg=turn_deg)
+    recording = laboratory.record([PULSE], instruments=ap.Instruments())
+    assert (recording["theta_s_deg"], recording["theta_e_deg"]) == pytest.approx(posture_deg, abs=1e-3)
+    angle = recording["joint_angle"].values - np.radians(posture_deg)
+    np.testing.assert_allclose(angle, joint_rotations(recording), atol=0.02)
+    assert not laboratory.rest.segments.refused
 
 
 def place(shoulder, elbow):
