@@ -272,6 +272,7 @@ def test_an_arm_starts_as_its_keyframe_has_it(locked):
     laboratory = ap.Laboratory(hinges(WIDE, WIDE, WIDE, key="0.4 1.2 0.3"), "palm", keyframe="home", locked=locked)
     assert laboratory.rest.posture == pytest.approx({"a": 0.4, "b": 1.2} | ({} if locked else {"c": 0.3}), abs=1e-12)
     assert np.abs(laboratory.rest.force).max() == 0.0
+    assert ("the option joints names two" in laboratory.rest.summary()) == (not locked)
 
 
 def test_coupled_joints_of_a_keyframe_follow_a_posture():
@@ -362,7 +363,8 @@ def test_a_name_in_the_place_of_names_is_refused(files, field):
     [
         ({}, "arm: 0.31 and 0.34 m, shoulder at 40 and elbow at 85 deg"),
         ({"turn_deg": 180.0}, "the shoulder at -90 to 180 deg; the option turn_deg"),
-        ({"hand_site": "fore"}, "lengths and angles are unknown, .* the option joints"),
+        ({"hand_site": "fore"}, "segments are 0.31 and 0 m long; identify and video need at least 0.01 m"),
+        ({"hand_site": "upper"}, "one joint moves the hand; identify and video need two"),
     ],
 )
 def test_the_summary_says_what_no_analysis_takes(files, settings, line):
