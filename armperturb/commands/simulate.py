@@ -188,11 +188,13 @@ def _angles(texts: tuple[str, ...]) -> Mapping[str, float]:
     """Joint to angle [deg] of options.
 
     Raises:
-      ValueError: a text is something else.
+      ValueError: a text is something else, or a joint is named twice.
     """
-    angles = {}
+    angles: dict[str, float] = {}
     for text in texts:
         name, _, value = text.partition("=")
+        if name in angles:
+            raise ValueError(f"simulate: posture-deg has {name!r} twice; expected each joint once")
         try:
             angles[name] = float(value)
         except ValueError:
