@@ -76,6 +76,16 @@ def _checked(variable: xr.Variable) -> dict[str, Any]:
     return {"fletcher32": True, "chunksizes": (*whole, *variable.shape[2:])}
 
 
+def require_ending(path: Path) -> None:
+    """Refuse a file for a recording whose name says that something else is in it.
+
+    Raises:
+      ValueError: the ending is not .nc.
+    """
+    if path.suffix.lower() != ".nc":
+        raise ValueError(f"{path}: ending {path.suffix!r}; expected .nc (convert makes .csv or .mat of it)")
+
+
 def save_recording(recording: xr.Dataset, path: str | Path) -> None:
     """Write a recording as netCDF4, whole or not at all.
 

@@ -16,7 +16,7 @@ class Joint(Command):
     needs_simulator = True
 
     out: Path
-    """Recording of one axis to write (netCDF4)."""
+    """Recording of one axis to write (netCDF4), NAME.nc."""
     person: str = "ankle"
     """Preset ankle, wrist or elbow, or FILE.toml of a person with one joint."""
     servo: Literal["position", "force"] = "position"
@@ -47,7 +47,7 @@ class Joint(Command):
         from armperturb.envs.lab.joint_experiment import JointTrial, at_signal_to_noise, run_joint_experiment
         from armperturb.joint_person import JOINT_PEOPLE, JointPerson, half_wave, servo_of
         from armperturb.perturbations.one_axis import RECORDED_SPEED, imposed_movement, random_noise
-        from armperturb.recording_files import save_recording
+        from armperturb.recording_files import require_ending, save_recording
         from armperturb.validation import require_one_of
 
         require_number("joint", "duration", self.duration, at_least=1.0, at_most=3600.0)
@@ -55,6 +55,7 @@ class Joint(Command):
         require_number("joint", "level", self.level, at_least=0.0)
         require_number("joint", "seed", self.seed, at_least=0, whole=True)
         require_number("joint", "signal_to_noise", self.signal_to_noise, at_least=-100.0, at_most=200.0, optional=True)
+        require_ending(self.out)
         require_new([self.out], overwrite=self.overwrite)
         if self.person.endswith(".toml"):
             person = JointPerson.load(self.person)

@@ -36,7 +36,7 @@ class Simulate(Command):
     perturbation: Path
     """CSV file with the columns time_s,d_x_N,d_y_N."""
     out: Path
-    """Recording to write (netCDF4)."""
+    """Recording to write (netCDF4), NAME.nc."""
     ideal: bool = False
     """Record the true signals: no instrument effects, no noise."""
     rope: Literal["ideal", "pendulum"] = "ideal"
@@ -84,10 +84,11 @@ class Simulate(Command):
         from armperturb.environment import Environment
         from armperturb.envs.lab.instruments import Instruments
         from armperturb.perturbations import load_perturbation
-        from armperturb.recording_files import save_recording
+        from armperturb.recording_files import require_ending, save_recording
 
         self._require_one_arm()
         perturbation = load_perturbation(self.perturbation)
+        require_ending(self.out)
         require_new([self.out], overwrite=self.overwrite)
         instruments = None if self.ideal else Instruments()
         if instruments and instruments.antialias and self.rate <= 2.0 * instruments.antialias:
@@ -187,11 +188,13 @@ def _angles(texts: tuple[str, ...]) -> Mapping[str, float]:
     """Joint to angle [deg] of options.
 
     Raises:
-      ValueError: a text is something else.
+      ValueError: a text is something else, or a joint is named twice.
     """
-    angles = {}
+    angles: dict[str, float] = {}
     for text in texts:
         name, _, value = text.partition("=")
+        if name in angles:
+            raise ValueError(f"simulate: posture-deg has {name!r} twice; expected each joint once")
         try:
             angles[name] = float(value)
         except ValueError:

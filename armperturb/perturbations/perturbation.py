@@ -68,7 +68,7 @@ def check_bandwidth(perturbation: Perturbation, simulation_rate: float) -> None:
         raise ValueError(
             f"{type(perturbation).__name__}: highest significant frequency = {perturbation.highest_frequency:.6g} Hz; "
             f"expected at most {limit:.6g} Hz, {BANDWIDTH_SHARE:.0%} of the simulation rate of {simulation_rate:g} Hz "
-            f"(--timestep {shorter:.12g}, or smoother edges)"
+            f"(the option timestep = {shorter:.12g}, or smoother edges)"
         )
 
 

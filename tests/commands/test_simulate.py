@@ -44,7 +44,7 @@ def test_a_person_is_recorded_as_fast_as_asked(folder, capsys):
     ap.RELAX.save(folder / "relax.toml")
     options = ("--subject", str(folder / "relax.toml"), "--rate", "1000")
     assert simulate(folder, *options) == 1
-    assert "(--timestep 0.001 goes with this rate)" in capsys.readouterr().err
+    assert "(the option timestep = 0.001 goes with this rate)" in capsys.readouterr().err
     assert simulate(folder, *options, "--timestep", "0.001") == 0
     assert "elbow" not in capsys.readouterr().out
     recording = ap.load_recording(folder / "out.nc")
@@ -70,7 +70,12 @@ def test_an_elbow_past_straight_is_named(folder, capsys):
         (("--mjcf", "{}/two_link.xml", "--hand", "palm", "--activation", "0.1"), "for a model without muscles"),
         (("--mjcf", "{}/two_link.xml", "--hand", "palm", "--handle", "3", "0", "1"), "that the hand can reach"),
         (("--mjcf", "{}/two_link.xml", "--hand", "palm", "--posture-deg", "q1"), "expected JOINT=ANGLE in degrees"),
+        (
+            ("--mjcf", "{}/two_link.xml", "--hand", "palm", "--posture-deg", "q1=20", "q2=5", "q1=30"),
+            "posture-deg has 'q1' twice; expected each joint once",
+        ),
         (("--mjcf", "{}/none.xml", "--hand", "palm"), "none.xml"),
+        (("--mjcf", "{}/two_link.xml", "--hand", "palm", "--out", "{}/o.csv"), "o.csv: ending '.csv'; expected .nc"),
         (
             ("--mjcf", "{}/two_link.xml", "--hand", "palm", "--rate", "160"),
             "rate = 160 Hz; expected above 160 Hz, as a filter of 80 Hz precedes the recorder (--ideal",
@@ -82,3 +87,8 @@ def test_refusals_are_one_line(folder, capsys, options, message):
     (line,) = capsys.readouterr().err.splitlines()
     assert message in line
     assert not (folder / "out.nc").exists()
+
+
+def test_a_recording_of_a_joint_has_the_ending_of_its_format(tmp_path, capsys):
+    assert cli.main(["joint", "--out", str(tmp_path / "o.mat")]) == 1
+    assert "o.mat: ending '.mat'; expected .nc (convert makes .csv or .mat of it)" in capsys.readouterr().err

@@ -351,7 +351,8 @@ def test_bandwidth_is_checked(multisine, trial):
     fast[:, 0] = np.sin(2 * np.pi * 480.0 * np.arange(2000) / 2000.0)
     message = (
         "Sampled: highest significant frequency = 480 Hz; "
-        "expected at most 450 Hz, 45% of the simulation rate of 1000 Hz (--timestep 0.0005, or smoother edges)"
+        "expected at most 450 Hz, 45% of the simulation rate of 1000 Hz "
+        "(the option timestep = 0.0005, or smoother edges)"
     )
     with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
         check_bandwidth(Sampled(force=fast, rate=2000.0), 1000.0)

@@ -58,7 +58,7 @@ class Setup:
             fitting = 1.0 / (self.rate * max(1, math.ceil(1.0 / (self.rate * self.timestep))))
             raise ValueError(
                 f"{owner}: rate = {self.rate!r} Hz; expected the simulation's {1 / self.timestep:g} Hz over a whole "
-                f"number (--timestep {fitting:.12g} goes with this rate)"
+                f"number (the option timestep = {fitting:.12g} goes with this rate)"
             )
         if self.linear and self.rope != "ideal":
             raise ValueError(f"{owner}: rope = {self.rope!r}; expected 'ideal', the only one that the linear arm has")

@@ -31,6 +31,7 @@ class Segments:
       hinges: where the angles of shoulder and elbow are in qpos; none where other joints move the hand as well.
       signs: of these angles, (joint,).
       offsets: to add to them [rad], (joint,).
+      unknown: why lengths and angles are nan, and what mends it.
     """
 
     is_left: bool = False
@@ -41,12 +42,13 @@ class Segments:
     hinges: tuple[int, ...] = ()
     signs: tuple[float, ...] = ()
     offsets: tuple[float, ...] = ()
+    unknown: str = ""
 
     @property
     def refused(self) -> str:
         """Why `identify` and a video refuse such an arm, and what mends it, in a line; empty where they take it."""
-        if np.isnan(self.l_h):
-            return "lengths and angles are unknown, which identify and video need; the option joints names two joints"
+        if self.unknown:
+            return self.unknown
         for field, joint, mend in (
             ("theta_s_deg", "shoulder", "turn_deg turns the axes from which it is measured"),
             ("theta_e_deg", "elbow", "posture_deg bends it"),
@@ -88,8 +90,12 @@ def segments_of(
     planar = len(joints) == 2 and all(
         model.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE and np.hypot(*data.xaxis[j, :2]) < UPRIGHT for j in joints
     )
+    if named is None and len(joints) < 2:
+        return Segments(unknown="one joint moves the hand; identify and video need two")
     if named is None and not planar:
-        return Segments()
+        return Segments(
+            unknown="lengths and angles are unknown, which identify and video need; the option joints names two joints"
+        )
     ends = joints if named is None else [model.joint(name).id for name in named]
     if not (set(ends) <= set(joints) and joints.index(ends[0]) < joints.index(ends[1])):
         moving = ", ".join(model.joint(j).name for j in joints)
@@ -105,7 +111,10 @@ def segments_of(
     length = np.round(np.hypot(*np.array([upper, lower]).T), EXACT)
     if length.min() < SHORTEST:
         if named is None:
-            return Segments()
+            return Segments(
+                unknown=f"segments are {length[0]:.3g} and {length[1]:.3g} m long; identify and video need at least "
+                f"{SHORTEST:g} m (a hand that is not at a joint)"
+            )
         raise ValueError(
             f"Laboratory: joints = {named!r}; expected segments of at least {SHORTEST:g} m in the plane, and not of "
             f"{length[0]:.3g} and {length[1]:.3g} m (other joints, or another hand_site)"
@@ -121,9 +130,11 @@ def segments_of(
         return segments
     hinges = model.jnt_qposadr[joints]
     signs = np.sign(data.xaxis[joints, 2]) * (-1.0 if is_left else 1.0)
-    offsets = np.round(_wrapped(angle - signs * data.qpos[hinges]), EXACT - 2)
+    offsets = np.round(angle - signs * data.qpos[hinges], EXACT - 2)  # not wrapped: recorded angles start at `angle`
     return replace(segments, hinges=tuple(map(int, hinges)), signs=tuple(signs), offsets=tuple(offsets + 0.0))
 
 
 def _wrapped(angle: Array) -> Array:
-    return (angle + np.pi) % (2.0 * np.pi) - np.pi
+    """Above -pi, up to pi [rad]; what is -pi within rounding becomes pi."""
+    most = np.pi + 10.0 ** (2 - EXACT)
+    return most - (most - angle) % (2.0 * np.pi)

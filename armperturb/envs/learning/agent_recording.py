@@ -55,7 +55,7 @@ def record_agent(
     if not trials:
         raise ValueError("record_agent: trials = (); expected at least one trial")
     for trial in trials:
-        task.drawing({"trial": trial})  # refuses those that do not fit
+        task.checked(trial, "record_agent")
     durations = {trial.perturbation.duration for trial in trials}
     if len(durations) > 1:
         raise ValueError(f"record_agent: trials of {min(durations):g} to {max(durations):g} s; expected one duration")

@@ -278,7 +278,7 @@ class TaskSettings:
             return replace(self, **options)._draw if options else self._draw
         if len(options) > 1:
             raise ValueError(f"reset: options = {', '.join(options)}; expected nothing else beside a trial")
-        trial = self._checked(options["trial"])
+        trial = self.checked(options["trial"], "reset")
         return lambda _: trial
 
     def _draw(self, rng: np.random.Generator) -> Trial:
@@ -296,17 +296,27 @@ class TaskSettings:
         seed, noise = int(rng.integers(2**63)), HUMAN_NOISE[self.task] if self.noise else None
         return Trial(subject=self.subject, perturbation=perturbation, condition=self.task, seed=seed, noise=noise)
 
-    def _checked(self, trial: object) -> Trial:
+    def checked(self, trial: object, owner: str) -> Trial:
+        """The trial, as it fits to the task.
+
+        Args:
+          trial: a given one.
+          owner: what was called with it, for messages.
+
+        Raises:
+          TypeError: it is no `Trial`.
+          ValueError: it does not fit to the task, as `drawing` says.
+        """
         if not isinstance(trial, Trial):
-            raise TypeError(f"reset: trial = {trial!r}; expected Trial")
+            raise TypeError(f"{owner}: trial = {trial!r}; expected Trial")
         if trial.subject.task != self.task:
-            raise ValueError(f"reset: trial has the task {trial.subject.task}; expected {self.task}")
+            raise ValueError(f"{owner}: trial has the task {trial.subject.task}; expected {self.task}")
         self._require_sound(trial.subject)
         longest = max(max(subject.Td_s, subject.Td_e) for subject in self.people)
         for name in ("Td_s", "Td_e"):
-            require_number("reset", f"{name} of the trial's subject", getattr(trial.subject, name), at_most=longest)
+            require_number(owner, f"{name} of the trial's subject", getattr(trial.subject, name), at_most=longest)
         check_bandwidth(trial.perturbation, 1.0 / self.timestep)
-        require_number("reset", "duration of the trial", trial.perturbation.duration, at_least=1.0 / self.control_rate)
+        require_number(owner, "duration of the trial", trial.perturbation.duration, at_least=1.0 / self.control_rate)
         return trial
 
 

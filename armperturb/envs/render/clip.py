@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 VIEWS = {"both": ("top", "oblique"), "top": ("top",), "oblique": ("oblique",)}
 """Value of `Clip.view` to the views that a video then shows side by side."""
 
-SMALLEST, LARGEST = (160, 120), (1920, 1440)
+SMALLEST, LARGEST = (320, 240), (1920, 1440)
 """Width and height of a view [pixel]: smaller ones cannot be read."""
 
 BEFORE_PULSE, AFTER_PULSE = 0.2, 1.0
@@ -30,8 +30,8 @@ class Clip:
     view: Literal["both", "top", "oblique"] = "both"
     """From above, obliquely from the side, or both side by side."""
     size: tuple[int, int] = (640, 480)
-    """Width and height of each view [pixel], up to 1920 1440, the width even and the height a multiple of 4; the strip
-    chart below adds half the height."""
+    """Width and height of each view [pixel], 320 240 to 1920 1440, the width even and the height a multiple of 4; the
+    strip chart below adds half the height."""
     slow: float = 1.0
     """How many times slower than real time, e.g. 10 for a pulse; below 1 it is faster."""
     start: float | None = None

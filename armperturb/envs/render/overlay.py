@@ -21,9 +21,9 @@ PAPER = (255, 255, 255, 205)
 """Behind text on a picture: nearly opaque white."""
 
 
-def text_size(height: int) -> int:
-    """Size of text in a picture of some height [pixel]."""
-    return max(8, round(height / 30))
+def text_size(width: int, height: int) -> int:
+    """Size of text in a picture of some width and height [pixel]."""
+    return max(8, round(min(height, 0.75 * width) / 30))
 
 
 def label_layer(size: tuple[int, int], title: str, force: float, axes: Array) -> Image.Image:
@@ -37,7 +37,7 @@ def label_layer(size: tuple[int, int], title: str, force: float, axes: Array) ->
     """
     layer = Image.new("RGBA", size, (255, 255, 255, 0))
     draw = ImageDraw.Draw(layer)
-    unit = text_size(size[1])
+    unit = text_size(*size)
     font, margin = _font(unit), unit // 2
     if title:
         wide = max(font.getlength(title), font.getlength(clock_text(888.88, 888.0)))
@@ -49,7 +49,7 @@ def label_layer(size: tuple[int, int], title: str, force: float, axes: Array) ->
 
 def _draw_axes(draw: ImageDraw.ImageDraw, size: tuple[int, int], text: str, axes: Array) -> None:
     """Where x and y point in the lower right corner of a picture, as long as forces of a size are."""
-    unit = text_size(size[1])
+    unit = text_size(*size)
     font, margin = _font(unit), unit // 2
     directions = axes / np.maximum(np.linalg.norm(axes, axis=1, keepdims=True), 1e-9)
     letters = axes + 0.7 * unit * directions
@@ -92,7 +92,7 @@ def draw_clock(picture: Image.Image, time: float, slow: float) -> None:
       time: as for `clock_text`.
       slow: as for `clock_text`.
     """
-    unit = text_size(picture.height)
+    unit = text_size(*picture.size)
     place = (2 * (unit // 2), round(1.5 * (unit // 2)) + round(1.4 * unit))
     ImageDraw.Draw(picture).text(place, clock_text(time, slow), font=_font(unit), fill=INK)
 
@@ -120,9 +120,8 @@ class StripChart:
         figure = Figure(figsize=(width / dots_per_inch, height / dots_per_inch), dpi=dots_per_inch, facecolor="white")
         canvas = FigureCanvasAgg(figure)
         panels = figure.subplots(2, 1, sharex=True)
-        left, right = (margin * unit / width for margin in (4.6, 5.6))
-        bottom, top = (margin * unit / height for margin in (2.9, 2.0))
-        figure.subplots_adjust(left=left, right=1 - right, bottom=bottom, top=1 - top, hspace=0.16)
+        right, bottom, top = 5.6 * unit / width, 2.9 * unit / height, 2.0 * unit / height
+        figure.subplots_adjust(right=1 - right, bottom=bottom, top=1 - top, hspace=0.16)
         rows = (
             ("force [N]", ((shown.disturbance, DISTURBANCE, "d"), (shown.reaction, REACTION, "f"))),
             ("x, y [cm]", ((100 * shown.displacement, INK, ""),)),
@@ -137,6 +136,7 @@ class StripChart:
             ax.set_xlim(*self._span)
             ax.margins(y=0.08)
             ax.locator_params(axis="y", nbins=4)
+            ax.ticklabel_format(axis="x", useOffset=False)
             ax.grid(linewidth=line / 2)
             ax.tick_params(labelsize=0.85 * size, length=2, pad=2)
             narrow = {"labelspacing": 0.1, "handlelength": 1.4, "handletextpad": 0.4, "borderaxespad": 0.3}
@@ -144,9 +144,16 @@ class StripChart:
         panels[0].tick_params(labelbottom=False)
         panels[1].set_xlabel("time [s]", fontsize=size, labelpad=1)
         figure.align_ylabels(panels)
+        canvas.draw()  # now labels have their texts and widths
+        for ax in panels:
+            if ax.yaxis.get_offset_text().get_text():  # a power of ten for all ticks would lie on the legend
+                ax.yaxis.set_major_formatter("{x:g}")
+        beside = max(ax.bbox.x0 - ax.yaxis.get_tightbbox(canvas.get_renderer()).x0 for ax in panels)
+        margin = max(4.6 * unit, beside + 0.5 * unit)
+        figure.subplots_adjust(left=margin / width)
         canvas.draw()
         self._drawn: Picture = np.asarray(canvas.buffer_rgba())[..., :3].copy()
-        self._drawn = _with_legend(self._drawn, unit)
+        self._drawn = _with_legend(self._drawn, unit, margin)
         self._pale = self._drawn.copy()
         self._boxes = []
         for ax in panels:
@@ -171,12 +178,12 @@ class StripChart:
         return chart
 
 
-def _with_legend(chart: Picture, unit: int) -> Picture:
-    """A chart with what the colours in chart and pictures mean, along its upper edge."""
+def _with_legend(chart: Picture, unit: int, margin: float) -> Picture:
+    """A chart with what the colours in chart and pictures mean, along its upper edge from a left margin [pixel] on."""
     picture, font = Image.fromarray(chart), _font(unit)
     draw = ImageDraw.Draw(picture)
     entries = ((DISTURBANCE, "disturbance d"), (REACTION, "force f on the hand"), (PATH, f"handle, last {TRAIL:g} s"))
-    column = 4.6 * unit
+    column = margin
     for colour, text in entries:
         draw.line((column, 0.95 * unit, column + 1.2 * unit, 0.95 * unit), fill=colour, width=max(2, unit // 4))
         draw.text((column + 1.6 * unit, 0.95 * unit), text, font=font, fill=INK, anchor="lm")

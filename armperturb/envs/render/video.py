@@ -71,7 +71,7 @@ def frames(replay: Replay, clip: Clip, times: Array) -> Iterator[Picture]:
         replay.at(values, times) for values in (replay.qpos, replay.disturbance, replay.reaction, replay.displacement)
     )
     simplify(replay.model, height)
-    chart = StripChart(shown, width=width * len(views), height=height // 2, unit=text_size(height))
+    chart = StripChart(shown, width=width * len(views), height=height // 2, unit=text_size(width, height))
     with Camera(replay.model, width=width, height=height) as camera:
         scale = arrow_scale(camera, views, shown)
         layers = [
@@ -103,7 +103,7 @@ def scale_axes(camera: Camera, view: str, scale: float) -> tuple[float, Array]:
     while True:
         along = camera.handle() + scale * force * np.eye(3)[:2]
         axes = camera.project(along, view) - camera.project(camera.handle(), view)
-        if np.linalg.norm(axes, axis=1).min() >= SHORTEST_AXIS * text_size(camera.height):
+        if np.linalg.norm(axes, axis=1).min() >= SHORTEST_AXIS * text_size(camera.width, camera.height):
             return force, axes
         force = round_number_below(2.5 * force)  # the next one
 

@@ -367,6 +367,15 @@ const ArmModel = (() => {
     }
   }
 
+  // Puts into the middle of each step the cubic of the laboratory's motors through four samples, zero beyond the ends.
+  function smoothed(force) {
+    const at = i => force[i] ?? 0;
+    for (let middle = 2; middle < force.length; middle += 4) {
+      for (const i of [middle, middle + 1]) force[i] = (9 * (at(i - 2) + at(i + 2)) - (at(i - 6) + at(i + 6))) / 16;
+    }
+    return force;
+  }
+
   // Half a sine of a peak [N] in a direction [degree], from an onset on [s], as `simulate` wants it.
   function pulse(peak, directionDeg, onset, duration, timestep = TIMESTEP, width = 0.08) {
     const n = Math.round(duration / timestep), force = new Float64Array(2 * (2 * n + 1));
@@ -377,7 +386,7 @@ const ArmModel = (() => {
       force[2 * half] = size * Math.cos(directionDeg * RADIAN);
       force[2 * half + 1] = size * Math.sin(directionDeg * RADIAN);
     }
-    return force;
+    return smoothed(force);
   }
 
   // A multisine of unit RMS from its lines [Hz], their amplitudes and phases, (axis, line), likewise.
@@ -392,7 +401,7 @@ const ArmModel = (() => {
         [re, im] = [re * c - im * s, re * s + im * c];
       }
     }));
-    return force;
+    return smoothed(force);
   }
 
   return { TIMESTEP, MOST_PARTS, RK4_LIMIT, admittance, bode, dynamics, fastestPole, largestRealPole, linearArms, move, pulse, multisine };

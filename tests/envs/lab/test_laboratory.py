@@ -12,6 +12,7 @@ from foreign_models import DAMPING, MUSCLE_ARM, STIFFNESS, TWO_LINK, two_link_in
 
 import armperturb as ap
 from armperturb.analysis.fit.own_structures import composed
+from armperturb.analysis.measures.kinematics import joint_rotations
 from armperturb.envs.lab.posture import lock_joints
 from armperturb.envs.lab.stretch_reflex import PlanarReflexes
 from armperturb.models.rig import build_arm, build_model
@@ -271,6 +272,7 @@ def test_an_arm_starts_as_its_keyframe_has_it(locked):
     laboratory = ap.Laboratory(hinges(WIDE, WIDE, WIDE, key="0.4 1.2 0.3"), "palm", keyframe="home", locked=locked)
     assert laboratory.rest.posture == pytest.approx({"a": 0.4, "b": 1.2} | ({} if locked else {"c": 0.3}), abs=1e-12)
     assert np.abs(laboratory.rest.force).max() == 0.0
+    assert ("the option joints names two" in laboratory.rest.summary()) == (not locked)
 
 
 def test_coupled_joints_of_a_keyframe_follow_a_posture():
@@ -282,6 +284,24 @@ def test_coupled_joints_of_a_keyframe_follow_a_posture():
 
 
 BEND = (0.0, 2.5)
+
+
+@pytest.mark.parametrize(
+    ("key", "turn_deg", "posture_deg"),
+    [
+        ("2.75 -1.43", 0.0, (22.437, 81.933)),  # a left arm whose upper arm is along x at zero
+        ("0 -1.4", 0.0, (180.0, 80.214)),
+        ("2.7 -1.4", np.degrees(2.7), (180.0, 80.214)),  # a rounding error below -180
+        ("-2.97 1.4", 160.0, (29.832, 80.214)),
+    ],
+)
+def test_recorded_angles_start_at_the_posture_wherever_hinges_have_their_zero(key, turn_deg, posture_deg):
+    laboratory = ap.Laboratory(hinges(WIDE, WIDE, key=key), "palm", keyframe="home", turn_deg=turn_deg)
+    recording = laboratory.record([PULSE], instruments=ap.Instruments())
+    assert (recording["theta_s_deg"], recording["theta_e_deg"]) == pytest.approx(posture_deg, abs=1e-3)
+    angle = recording["joint_angle"].values - np.radians(posture_deg)
+    np.testing.assert_allclose(angle, joint_rotations(recording), atol=0.02)
+    assert not laboratory.rest.segments.refused
 
 
 def place(shoulder, elbow):
@@ -343,7 +363,8 @@ def test_a_name_in_the_place_of_names_is_refused(files, field):
     [
         ({}, "arm: 0.31 and 0.34 m, shoulder at 40 and elbow at 85 deg"),
         ({"turn_deg": 180.0}, "the shoulder at -90 to 180 deg; the option turn_deg"),
-        ({"hand_site": "fore"}, "lengths and angles are unknown, .* the option joints"),
+        ({"hand_site": "fore"}, "segments are 0.31 and 0 m long; identify and video need at least 0.01 m"),
+        ({"hand_site": "upper"}, "one joint moves the hand; identify and video need two"),
     ],
 )
 def test_the_summary_says_what_no_analysis_takes(files, settings, line):

@@ -146,7 +146,7 @@ def test_what_falls_beside_the_arm_is_named_where_nothing_comes_to_rest(monkeypa
 
 
 def test_joints_that_are_locked_do_not_move_the_hand():
-    assert "lengths and angles are unknown" in ap.Laboratory(arm(), "palm", locked=["sh"]).rest.summary()
+    assert "one joint moves the hand; identify" in ap.Laboratory(arm(), "palm", locked=["sh"]).rest.summary()
     with pytest.raises(ValueError, match=r"joints = 'sh'; expected a joint of the model \(el\)"):
         ap.Laboratory(arm(), "palm", locked=["sh"], joints=("sh", "el"))
     with pytest.raises(ValueError, match="no joint moves the hand; expected at least one"):

@@ -47,8 +47,9 @@ def test_it_tells_when_the_handle_reached_the_limit():
         (NAME, [], {}, r"trials = \(\); expected at least one trial"),
         (NAME, [trial(0.6), trial(0.8)], {}, "trials of 0.6 to 0.8 s; expected one duration"),
         (NAME, [trial()], {"instruments": ap.Instruments()}, r"expected Instruments\(emg=None\)"),
-        ("ArmPerturb/Relax-v1", [trial()], {}, "trial has the task PT; expected RT"),
+        ("ArmPerturb/Relax-v1", [trial()], {}, "^record_agent: trial has the task PT; expected RT"),
         (NAME, [trial()], {"rate": 300.0}, "^record_agent: rate = 300.0 Hz; expected the simulation's 400 Hz over"),
+        (NAME, [trial()], {"rate": 1000.0}, r"\(the option timestep = 0\.001 goes with this rate\)"),
     ],
 )
 def test_what_cannot_be_recorded_is_refused(name, trials, more, message):

@@ -18,7 +18,8 @@ from armperturb import cli
 from armperturb.analysis.measures.kinematics import hand_position
 from armperturb.envs.render import gl, video, viewer
 from armperturb.envs.render.camera import DISTURBANCE, REACTION, Camera
-from armperturb.envs.render.overlay import StripChart, clock_text
+from armperturb.envs.render.clip import SMALLEST
+from armperturb.envs.render.overlay import StripChart, clock_text, text_size
 from armperturb.envs.render.replay import Replay
 from armperturb.envs.render.video import Clip, arrow_scale, frame_times, frames, scale_axes, write_video
 from armperturb.plots import style
@@ -78,7 +79,7 @@ def with_signals(replay, disturbance, reaction, displacement):
     return replace(replay, **{name: np.array([value]) for name, value in signals.items()})
 
 
-SMALL = Clip(size=(160, 120), start=1.0, stop=1.2)
+SMALL = Clip(size=SMALLEST, start=1.0, stop=1.2)
 
 
 def decoded(path):
@@ -95,8 +96,8 @@ def decoded(path):
 @pytest.mark.parametrize(
     ("name", "view", "slow", "shape", "rate"),
     [
-        ("a.mp4", "both", 1.0, (6, 180, 320, 3), 30.0),
-        ("a.GIF", "oblique", 2.0, (8, 180, 160, 3), 20.0),
+        ("a.mp4", "both", 1.0, (6, 360, 640, 3), 30.0),
+        ("a.GIF", "oblique", 2.0, (8, 360, 320, 3), 20.0),
     ],
 )
 def test_a_file_has_the_frames_that_were_asked_for(replay, tmp_path, name, view, slow, shape, rate):
@@ -117,10 +118,10 @@ def test_both_views_stand_side_by_side_over_the_chart(replay):
     both, top, oblique = (
         next(frames(replay, replace(SMALL, view=view), np.array([1.05]))) for view in ("both", "top", "oblique")
     )
-    np.testing.assert_array_equal(both[:120, :160], top[:120])
+    np.testing.assert_array_equal(both[:240, :320], top[:240])
     # Title and clock stand in the first view alone.
-    np.testing.assert_array_equal(both[40:120, 160:], oblique[40:120])
-    assert (both[:20, 160:240] != oblique[:20, :80]).any()
+    np.testing.assert_array_equal(both[40:240, 320:], oblique[40:240])
+    assert (both[:20, 320:400] != oblique[:20, :80]).any()
 
 
 def test_frames_are_evenly_spaced_in_the_trial(replay):
@@ -204,7 +205,7 @@ def test_arrows_stay_in_the_picture_and_are_as_long_as_they_can_be(replay):
 
 
 @needs_gl
-@pytest.mark.parametrize("size", [(160, 120), (320, 240), (640, 480)])
+@pytest.mark.parametrize("size", [SMALLEST, (640, 480)])
 def test_the_scale_can_be_read_and_is_true(replay, size):
     with Camera(replay.model, width=size[0], height=size[1]) as camera:
         for scale, view in itertools.product((0.3 / 37, 0.3 / 150, 0.05), ("top", "oblique")):
@@ -220,7 +221,7 @@ def test_the_scale_can_be_read_and_is_true(replay, size):
 
 @needs_gl
 def test_a_frame_shows_forces_while_they_act(replay):
-    clip = replace(SMALL, size=(320, 240), view="top", start=0.5, stop=1.5)
+    clip = replace(SMALL, view="top", start=0.5, stop=1.5)
     during, after = frames(replay, clip, np.array([1.04, 1.3]))
 
     def vermillion(picture):
@@ -244,7 +245,7 @@ def test_clock(time, slow, text):
 
 @needs_gl
 def test_the_clock_is_in_the_frame(replay):
-    clip = replace(SMALL, size=(320, 240), view="top")
+    clip = replace(SMALL, view="top")
     hold = replace(replay, qpos=np.repeat(replay.qpos[:1], 200, axis=0), displacement=np.zeros((200, 2)))
     first, second = frames(hold, clip, np.array([1.15, 1.16]))
     rows, columns = np.nonzero((first[:240] != second[:240]).any(axis=2))
@@ -272,6 +273,26 @@ def test_strip_chart_moves_its_line_and_pales_what_is_to_come(replay):
     np.testing.assert_array_equal(middle[:, left], end[:, left])
     np.testing.assert_array_equal(middle[:, right], start[:, right])
     assert (255 - end[40:90, right]).sum() > 2 * (255 - middle[40:90, right]).sum()
+
+
+@pytest.mark.parametrize(
+    ("size", "force", "displacement", "start"),
+    [
+        (SMALLEST, 1.0, 1.0, 0.0),
+        ((SMALLEST[0], 960), 1.0, 1.0, 0.0),
+        (SMALLEST, 1e-3, 1e-4, 2.0),  # long labels at ticks
+        (SMALLEST, 1e-9, 1e-17, 3000.0),  # powers of ten
+    ],
+)
+def test_nothing_that_is_written_in_the_strip_chart_is_cut_off(replay, size, force, displacement, start):
+    time = start + np.linspace(0.0, 0.03, 4)
+    path = np.linspace([0.0, -1.0], [1.0, 4.0], 4)
+    shown = replace(
+        replay, time=time, disturbance=force * path, reaction=-force * path, displacement=0.01 * displacement * path
+    )
+    chart = StripChart(shown, width=size[0], height=size[1] // 2, unit=text_size(*size)).at(start)
+    for edge in (chart[:, 0], chart[:, -1], chart[0], chart[-1]):
+        assert (edge == 255).all()
 
 
 @pytest.mark.parametrize(
@@ -314,8 +335,8 @@ def refused(capsys, *arguments):
         (("--trial", -1), "trial = -1; expected 0 to 1"),
         (("--size", 641, 480), "width = 641; expected a multiple of 2 pixels"),
         (("--size", 640, 482), "height = 482; expected a multiple of 4 pixels"),
-        (("--size", 64, 48), "width = 64; expected a finite number at least 160 and at most 1920"),
-        (("--size", 640, 4800), "height = 4800; expected a finite number at least 120 and at most 1440"),
+        (("--size", 64, 48), "width = 64; expected a finite number at least 320 and at most 1920"),
+        (("--size", 640, 4800), "height = 4800; expected a finite number at least 240 and at most 1440"),
         (("--slow", 0), "slow = 0.0; expected a finite number above 0"),
         (("--slow", -3), "slow = -3.0; expected a finite number above 0"),
         (("--slow", "nan"), "slow = nan; expected a finite number above 0"),
@@ -390,7 +411,7 @@ def test_a_failing_encoder_leaves_the_old_file(file, capsys, monkeypatch):
     out = file.parent / "a.mp4"
     out.write_bytes(b"old")
     monkeypatch.setattr(imageio_ffmpeg, "get_ffmpeg_exe", lambda: "/bin/false")
-    options = ("--trial", 0, "--out", out, "--size", 160, 120, "--stop", 0.2, "--overwrite")
+    options = ("--trial", 0, "--out", out, "--size", *SMALLEST, "--stop", 0.2, "--overwrite")
     assert "a.mp4: the encoder failed" in refused(capsys, "video", file, *options)
     assert out.read_bytes() == b"old"
     assert sorted(os.listdir(file.parent)) == ["a.mp4", "rec.nc"]
@@ -399,10 +420,10 @@ def test_a_failing_encoder_leaves_the_old_file(file, capsys, monkeypatch):
 @needs_gl
 def test_command_writes_a_video(file, capsys):
     out = file.parent / "a.MP4"
-    options = ("--trial", 0, "--out", out, "--size", 160, 120, "--stop", 0.2, "--view", "top")
+    options = ("--trial", 0, "--out", out, "--size", *SMALLEST, "--stop", 0.2, "--view", "top")
     assert cli.main([str(word) for word in ("video", file, *options)]) == 0
     assert capsys.readouterr().out == f"video: {out}\n"
-    assert decoded(out)[1].shape == (6, 180, 160, 3)
+    assert decoded(out)[1].shape == (6, 360, 320, 3)
 
 
 def test_viewer_says_where_there_is_no_display(file, capsys, monkeypatch):
