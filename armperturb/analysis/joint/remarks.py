@@ -9,6 +9,7 @@ from armperturb.analysis.defaults import FEWEST_TRIALS
 from armperturb.analysis.fit.frequency_bands import EXCITED_POWER
 from armperturb.analysis.fit.maximum_likelihood import SUSPICIOUS
 from armperturb.analysis.fit.trial_effects import FEW
+from armperturb.analysis.joint.model import Reflex
 from armperturb.analysis.joint.signals import RATE, TOP
 from armperturb.analysis.results import plain
 
@@ -37,7 +38,15 @@ def remarks_on(result: "JointIdentification", n_trials: int) -> tuple[str, ...]:
       n_trials: that were fitted.
     """
     said = ruled_out(result)
-    said += [each for each in (result.parts.sentence, cut_short(result), outweighed(result)) if each]
+    said += [
+        each
+        for each in (
+            result.parts.sentence,
+            cut_short(result.structure.reflex, result.top, result.beyond),
+            outweighed(result),
+        )
+        if each
+    ]
     said += [f"{name} sits on a bound, and has no interval" for name in result.at_bound]
     if n_trials < FEWEST_TRIALS:
         said.append(FEW)
@@ -83,14 +92,20 @@ def ruled_out(result: "JointIdentification") -> list[str]:
     return said
 
 
-def cut_short(result: "JointIdentification") -> str:
-    """That a half-wave needs more of the movement than is used, without full stop; empty where it does not."""
-    if result.structure.reflex != "half-wave" or result.beyond < BEYOND:
+def cut_short(reflex: Reflex, top: float, beyond: float) -> str:
+    """That a half-wave needs more of the movement than is used, without full stop; empty where it does not.
+
+    Args:
+      reflex: of the structure.
+      top: frequency up to which the movement is used [Hz].
+      beyond: power of the velocity next above that, over its power below [-].
+    """
+    if reflex != "half-wave" or beyond < BEYOND:
         return ""
-    remedy = "perturb with less that is fast" if result.top >= TOP else f"record or convert at {RATE:g} Hz or more"
+    remedy = "perturb with less that is fast" if top >= TOP else f"record or convert at {RATE:g} Hz or more"
     return (
-        f"the movement, or noise of its sensor, goes on beyond {result.top:g} Hz, up to which it is used (a further "
-        f"{100.0 * result.beyond:.0f} % of the velocity's power is just above), and a half-wave needs all of it: gain "
+        f"the movement, or noise of its sensor, goes on beyond {top:g} Hz, up to which it is used (a further "
+        f"{100.0 * beyond:.0f} % of the velocity's power is just above), and a half-wave needs all of it: gain "
         f"and threshold of the reflex may be wrong; {remedy}"
     )
 

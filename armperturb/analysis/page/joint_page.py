@@ -113,7 +113,15 @@ def joint_verdict(result: JointIdentification) -> Verdict:
             f"({numbers_of(lack)}): estimates may be biased by more than their intervals say. {CAUSES[result.servo]}."
         )
     unsettled = "" if result.converged else "Noise and parameters did not settle together."
-    further = [_sentence(each) for each in (result.parts.sentence, cut_short(result), outweighed(result)) if each]
+    further = [
+        _sentence(each)
+        for each in (
+            result.parts.sentence,
+            cut_short(result.structure.reflex, result.top, result.beyond),
+            outweighed(result),
+        )
+        if each
+    ]
     impossible = [_sentence(each) for each in ruled_out(result)]
     is_wrong = ahead > CARE or (lacking and lack.chi2 > LARGE_LACKS[result.servo] * lack.dof)
     if impossible or is_wrong or result.parts.largest >= LARGE_SPREAD:
