@@ -38,7 +38,8 @@ RESULTS = (
 """Files that are written; * is a condition."""
 
 OF_A_STRUCTURE = ("free", "fix", "bounds", "tie", "prior")
-OF_LINEAR_MODELS = ("estimator", "share", "lines_per_average", "body", *OF_A_STRUCTURE)
+OF_BOTH_ARM_MODELS = ("free", "window_start", "period")
+OF_LINEAR_MODELS = ("estimator", "share", "lines_per_average", "body", "window_start", "period", *OF_A_STRUCTURE)
 OF_THE_NONLINEAR_MODEL = ("law", "pulses")
 OF_THE_JOINT_MODEL = ("reflex", "short_range", "fit_until", "longest_delay")
 
@@ -132,7 +133,6 @@ class Identify(Command):
         from armperturb.commands.selection import MemoryPerSample, select_trials
 
         self._require_options(("nonlinear", "joint") if self.model is None else (self.model,))
-        structure = None if self.model in ("nonlinear", "joint") else self._structure()
         if self.emg_delay != (0.0, 0.0) and not self.emg:
             raise ValueError(f"identify: emg_delay = {self.emg_delay!r} without EMG; expected it with --emg only")
         if self.model == "nonlinear" and self.emg_delay[1] != 0.0:
@@ -152,6 +152,7 @@ class Identify(Command):
         )
         kind = self._kind(recordings)
         self._require_options((kind,))
+        structure = self._structure() if kind == "linear" else None
         require_new_results(self.out, RESULTS, overwrite=self.overwrite)
         if self.resumes and self.out.exists() and not self.out.is_dir():
             raise ValueError(f"{self.out} is a file; expected a folder, or a new name for one")
@@ -190,7 +191,7 @@ class Identify(Command):
         if not {*models} - {*of_models}:
             others |= dict.fromkeys(OF_LINEAR_MODELS, "") if "joint" not in models or len(models) == 1 else {}
         if "nonlinear" in models:
-            others.pop("free", None)
+            others = {name: kind for name, kind in others.items() if name not in OF_BOTH_ARM_MODELS}
         for field in fields(self):
             value = getattr(self, field.name)
             if field.name in others and value != field.default:

@@ -125,6 +125,29 @@ def test_a_result_of_the_name_of_an_input_is_refused(folder, capsys):
     assert structure.read_text(encoding="utf-8") == 'base = "3b"\n'
 
 
+def one_axis(folder):
+    path = folder / "one_axis.nc"
+    labels = {"subject": ["A"], "task": ["PT"], "condition": ["PT"], "repetition": [0], "pulse_level": [0.0]}
+    labels |= {name: [np.nan] for name in ("pulse_direction", "pulse_onset", "limit_time")}
+    angle = np.random.default_rng(0).normal(size=(1, 500, 1))
+    signals = {"force": angle, "displacement": angle}
+    save_recording(make_recording(signals, labels, 100.0, servo="position", joint="ankle"), path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("option", "said"),
+    [
+        (("--window-start", "20"), "window_start = 20.0; expected 8.0 with --model joint"),
+        (("--period", "4"), "period = 4.0; expected None with --model joint"),
+        (("--free", "k"), "free = ('k',); expected () with --model joint"),
+        (("--fix", "m=0"), "expected () with --model joint"),
+    ],
+)
+def test_options_of_arms_are_refused_for_one_axis(folder, capsys, option, said):
+    assert said in refused(capsys, "identify", one_axis(folder), *option, "--out", folder / "o")
+
+
 @pytest.mark.parametrize("earlier", ['{"PT 1": {"model": "2"}, "RT": {"model": "2"}}', '{"model": "2"}', "mine", None])
 def test_results_of_an_earlier_run_are_removed_and_other_files_are_not(folder, monkeypatch, earlier):
     names = ("arm.toml", "arm_PT_1.toml", "arm_mine.toml", "structure_RT.toml", "endpoint.csv", "identify.html")
@@ -132,12 +155,7 @@ def test_results_of_an_earlier_run_are_removed_and_other_files_are_not(folder, m
         (folder / name).write_text("earlier", encoding="utf-8")
     if earlier is not None:
         (folder / "fit.json").write_text(earlier, encoding="utf-8")
-    recording = folder / "one_axis.nc"
-    labels = {"subject": ["A"], "task": ["PT"], "condition": ["PT"], "repetition": [0], "pulse_level": [0.0]}
-    labels |= {name: [np.nan] for name in ("pulse_direction", "pulse_onset", "limit_time")}
-    angle = np.random.default_rng(0).normal(size=(1, 500, 1))
-    signals = {"force": angle, "displacement": angle}
-    save_recording(make_recording(signals, labels, 100.0, servo="position", joint="ankle"), recording)
+    recording = one_axis(folder)
 
     def identified(command, recordings, notes):
         (command.out / "fit.json").write_text("new", encoding="utf-8")

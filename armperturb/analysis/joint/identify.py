@@ -1,28 +1,27 @@
 """Identification of a joint: structure chosen by left-out data, parameters with intervals, and held-out prediction."""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 
 from armperturb.analysis.cuts import inside_limit, one_condition
-from armperturb.analysis.defaults import FEWEST_TRIALS
-from armperturb.analysis.fit.maximum_likelihood import SUSPICIOUS
-from armperturb.analysis.fit.trial_effects import FEW
 from armperturb.analysis.fit.whittle import LackOfFit
 from armperturb.analysis.joint.choice import ScoredStructure, score_of, sentence_of, structures
 from armperturb.analysis.joint.estimate import JointEstimate, Profile, estimate_joint, likelihood_profiles
 from armperturb.analysis.joint.intrinsic import IntrinsicCheck, check_intrinsic
 from armperturb.analysis.joint.likelihood import Loop, environment_of, simulated_movement
 from armperturb.analysis.joint.model import LONGEST_DELAY, REFLEXES, UNITS, JointModel, JointStructure, Reflex
+from armperturb.analysis.joint.part_differences import PartDifferences, part_differences
 from armperturb.analysis.joint.prediction import FreeModel, explained, fit_free_model
+from armperturb.analysis.joint.remarks import remarks_on
 from armperturb.analysis.joint.signals import SHORTEST, JointSignals, joint_signals, mean_angle
 from armperturb.analysis.joint.torque_likelihood import band_of
 from armperturb.analysis.joint.trial_differences import trial_differences
-from armperturb.analysis.joint_balance import impossible_joint
+from armperturb.analysis.joint_balance import wrong_joint
 from armperturb.analysis.results import Description, FitResult, Interval, parameter_table, quantile
 from armperturb.arrays import Array
 from armperturb.recording import check_recording, named
@@ -30,9 +29,6 @@ from armperturb.validation import require_number, require_one_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-LACKING = 2.0
-"""VAF by which the free model is ahead from which on a remark says so [%]."""
 
 
 class TriedStructure(NamedTuple):
@@ -85,6 +81,9 @@ class JointIdentification(FitResult):
       lack_of_fit: whether the structure leaves something that a linear response to the servo's input explains.
       trial_spread: "damping", "stiffness" and others to the standard deviation over trials of the factor by which it
         differs [-]; without those that do not differ.
+      parts: how parts of the trials differ.
+      top: frequency up to which the movement counts [Hz].
+      beyond: power of the velocity next above that, over its power below [-], see `signals.JointSignals`.
       profiles: parameter of the reflex path to the profile of its likelihood; of a force servo only that of the delay.
       band: of the frequencies that count [Hz].
       trace: of the first trial.
@@ -106,6 +105,9 @@ class JointIdentification(FitResult):
     environment: Loop | None
     lack_of_fit: LackOfFit
     trial_spread: Mapping[str, float]
+    parts: PartDifferences
+    top: float
+    beyond: float
     profiles: Mapping[str, Profile]
     band: tuple[float, float]
     trace: Trace
@@ -259,7 +261,8 @@ def identify_joint(
     with np.errstate(invalid="ignore"):
         correlation = covariance / np.outer(error, error)
     at_bound = tuple(name for name, bound in zip(names, best.at_bound, strict=True) if bound)
-    return JointIdentification(
+    wrong, notes = wrong_joint(recording)
+    result = JointIdentification(
         values=dict(zip(names, map(float, best.values), strict=True)),
         standard_error=dict(zip(names, map(float, error), strict=True)),
         correlation=correlation,
@@ -267,7 +270,7 @@ def identify_joint(
         at_bound=at_bound,
         converged=best.converged,
         message="converged" if best.converged else "the rounds of weighing did not settle",
-        remarks=(*impossible_joint(recording), *left_out, *_remarks(best, signals, free, intrinsic, at_bound)),
+        remarks=(*filter(None, [wrong]), *notes, *left_out),
         label=named(recording),
         subject=str(values["subject"]),
         condition=str(values["condition"]),
@@ -284,10 +287,14 @@ def identify_joint(
         environment=loop,
         lack_of_fit=best.lack,
         trial_spread=differences.spread,
+        parts=part_differences(best, signals, loop),
+        top=signals.top,
+        beyond=signals.beyond,
         profiles=_profiles(best, differences.added, signals, loop, longest_delay),
         band=band_of(signals),
         trace=_trace(every, best, loop, free),
     )
+    return replace(result, remarks=(*result.remarks, *remarks_on(result, len(signals.angle))))
 
 
 def _tried(
@@ -360,38 +367,3 @@ def _profiles(
     free = [name for name, bound in zip(best.structure.parameters, best.at_bound, strict=True) if not bound]
     wanted = [name for name in (names if loop is None else names[1:2]) if name in free]
     return likelihood_profiles(best, signals, loop, wanted, added=added, longest_delay=longest_delay)
-
-
-def _remarks(
-    best: JointEstimate,
-    signals: JointSignals,
-    free: FreeModel | None,
-    intrinsic: IntrinsicCheck | None,
-    at_bound: Sequence[str],
-) -> tuple[str, ...]:
-    said = [f"{name} sits on a bound, and has no interval" for name in at_bound]
-    if len(signals.angle) < FEWEST_TRIALS:
-        said.append(FEW)
-    if not best.converged:
-        said.append("the noise and the parameters did not settle together: intervals may be too short")
-    lack = best.lack
-    if lack.p_value < SUSPICIOUS:
-        said.append(
-            f"the structure leaves what a linear response explains (chi2/dof = {lack.chi2 / lack.dof:.3g}): estimates "
-            "may be biased by more than their intervals say"
-        )
-    if free is not None:
-        used = signals.used
-        torque = JointModel(best.structure, signals).torque(best.values)
-        ahead = free.left_out_vaf - explained(signals.torque[:, used], torque[:, used])
-        if ahead > LACKING:
-            said.append(
-                f"a free model predicts {ahead:.1f} % more of the torque's variance on left-out data than the parallel "
-                "cascade accounts for: the joint does more than the cascade has"
-            )
-    if intrinsic is not None and (further := intrinsic.left_out_vaf - intrinsic.structured_vaf) > LACKING:
-        said.append(
-            f"an impulse response without structure explains {further:.1f} % more of what the reflex path leaves, on "
-            "left-out data, than inertia, damping and stiffness: the intrinsic path is not these alone"
-        )
-    return tuple(said)

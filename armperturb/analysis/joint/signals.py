@@ -26,6 +26,10 @@ SETTLE = 1.0
 EDGE = 0.1
 """What is left out at its end [s], which the filters spoil."""
 
+NEXT = 1.5
+"""Frequency up to which a movement that goes on beyond the band is looked for, over the highest of the band [-]: well
+above, it drowns in the noise of the sensor."""
+
 SHORTEST = 4.0
 """Shortest record of an identification [s]."""
 
@@ -44,6 +48,7 @@ class JointSignals:
       rate: [Hz].
       top: highest frequency [Hz].
       servo: "force" or "position".
+      beyond: power of the velocity from `top` to `NEXT` times that, over its power below [-].
       settle: what is left out at the start of each trial [s].
     """
 
@@ -56,6 +61,7 @@ class JointSignals:
     rate: float
     top: float
     servo: str
+    beyond: float
     settle: float = SETTLE
 
     @property
@@ -107,6 +113,12 @@ def joint_signals(
     s = 2j * np.pi * fft.rfftfreq(2 * n, 1.0 / rate)
     keep = 0.5 - 0.5 * np.cos(np.pi * np.clip((1.15 * top - np.abs(s) / (2 * np.pi)) / (0.3 * top), 0.0, 1.0))
 
+    def beyond(values: Array) -> float:
+        spectrum = fft.rfft(np.concatenate([values, values[:, ::-1]], axis=1), axis=1) * s
+        power, height = np.sum(np.abs(spectrum) ** 2, axis=0), np.abs(s) / (2 * np.pi * top)
+        below = max(float(power[height <= 1.0].sum()), np.finfo(float).tiny)
+        return float(power[(height > 1.0) & (height <= NEXT)].sum()) / below
+
     def limited(values: Array, power: int = 0) -> Array:
         mirrored = np.concatenate([values, values[:, ::-1]], axis=1)
         spectrum = fft.rfft(mirrored, axis=1) * (keep * s**power)
@@ -128,6 +140,7 @@ def joint_signals(
         rate=rate / step,
         top=top,
         servo=str(recording.attrs["servo"]),
+        beyond=beyond(x),
         settle=settle,
     )
 

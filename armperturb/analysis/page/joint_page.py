@@ -3,12 +3,9 @@
 from importlib import metadata
 from pathlib import Path
 
-import numpy as np
-from scipy import fft, signal
-
-from armperturb.analysis.fit.frequency_bands import EXCITED_POWER
 from armperturb.analysis.fit.maximum_likelihood import LARGE_LACK, SUSPICIOUS
 from armperturb.analysis.joint.identify import JointIdentification
+from armperturb.analysis.joint.remarks import cut_short, outweighed, ruled_out
 from armperturb.analysis.page.page import WORDS, Origin, parameter_rows
 from armperturb.analysis.page.verdict import Verdict, numbers_of
 from armperturb.analysis.results import Description, Table, plain
@@ -27,17 +24,15 @@ Ankles of people on a position servo lack 4 to 5 where a free model is less than
 which takes two thirds of the inertia, lacks 11.
 """
 
-MOST = 50.0
-"""VAF below which more is left than is explained, and parameters are to be used with care [%]."""
-
-RESOLUTION = 5
-"""Lines of a spectrum with a Hann window over which one frequency spreads."""
+LARGE_SPREAD = 0.2
+"""Standard deviation over parts of the record, over a parameter, from which on it is not to be trusted [-]."""
 
 CAUSES = {
     "force": "Causes to look for: signals that are late to each other or pass different filters; a joint that does "
     "more than the cascade has",
     "position": "Causes to look for: torque and angle that are late to each other or pass different filters; noise of "
-    "the angle (convert --rate 100 leaves most of it out); a joint that does more than the cascade has",
+    "the angle (where the movement ends well below 30 Hz, convert --rate 100 leaves most of it out); a joint that does "
+    "more than the cascade has",
 }
 """Servo to why a structure may lack fit."""
 
@@ -54,12 +49,16 @@ def write_joint_page(result: JointIdentification, path: str | Path, origin: Orig
       OSError: the folder cannot be written to.
     """
     label = result.condition
-    verdicts = {label: joint_verdict(result)}
+    verdict = joint_verdict(result)
     parameters, drawn = new_figure(1.0), new_figure(1.0)
     plot_parameters({label: result.to_frame()}, parameters)
     result.plot(drawn)
     best = result.tried[0].score
-    said = [*filter(None, [result.sentence, result.differing]), *result.remarks, *origin.notes]
+    said = [
+        *filter(None, [result.sentence, result.differing]),
+        *(each for each in result.remarks if _sentence(each) not in verdict.text),
+        *origin.notes,
+    ]
     tried = Description(
         title="Structures tried, the best first",
         table=Table(
@@ -84,7 +83,7 @@ def write_joint_page(result: JointIdentification, path: str | Path, origin: Orig
         {"parameters": Picture.of(parameters), "joint": Picture.of(drawn)},
         conditions=[label],
         result=result,
-        verdicts=verdicts,
+        verdicts={label: verdict},
         words=WORDS,
         plain=plain,
         versions=versions("armperturb", "numpy", "scipy", "matplotlib"),
@@ -96,8 +95,8 @@ def joint_verdict(result: JointIdentification) -> Verdict:
     """Whether to trust the parameters of a joint.
 
     What the structure lacks is judged by what a free model predicts beyond it and by its lack of fit; on a force servo,
-    where there is no free model, by the lack of fit alone. What rules parameters out is looked for first, whatever else
-    there is to say.
+    where there is no free model, by the lack of fit alone. Parts of the record must tell of the same joint. What rules
+    parameters out is looked for first, whatever else there is to say.
     """
     lack, vaf = result.lack_of_fit, result.vaf["total"]
     ahead, explained, resisting = 0.0, "", "torque" if result.angular else "force"
@@ -114,60 +113,28 @@ def joint_verdict(result: JointIdentification) -> Verdict:
             f"({numbers_of(lack)}): estimates may be biased by more than their intervals say. {CAUSES[result.servo]}."
         )
     unsettled = "" if result.converged else "Noise and parameters did not settle together."
-    share, of = (result.vaf["movement"], "movement") if result.servo == "force" else (vaf, resisting)
-    little = ""
-    if share < MOST:
-        little = (
-            f"The cascade leaves {100.0 - share:.0f} % of the variance of the {of}, more than it explains. All of that "
-            "is taken to be noise that has nothing to do with the perturbation. Compare what was recorded and what is "
-            "predicted below, and leave out what is not valid (limit_time of the sidecar)."
+    further = [
+        _sentence(each)
+        for each in (
+            result.parts.sentence,
+            cut_short(result.structure.reflex, result.top, result.beyond),
+            outweighed(result),
         )
+        if each
+    ]
+    impossible = [_sentence(each) for each in ruled_out(result)]
     is_wrong = ahead > CARE or (lacking and lack.chi2 > LARGE_LACKS[result.servo] * lack.dof)
-    impossible = _impossible(result)
-    if impossible or is_wrong:
-        return Verdict("reject", _sentences(*impossible, explained, lacking, unsettled, little))
-    if unsettled or lacking or ahead > TRUSTED or little:
-        return Verdict("care", _sentences(unsettled, explained, lacking, little))
+    if impossible or is_wrong or result.parts.largest >= LARGE_SPREAD:
+        return Verdict("reject", _sentences(*impossible, explained, lacking, unsettled, *further))
+    if unsettled or lacking or ahead > TRUSTED or further:
+        return Verdict("care", _sentences(unsettled, explained, lacking, *further))
     fits = f"The cascade explains the movement as far as the noise shows ({numbers_of(lack)})."
     return Verdict("trust", explained or fits)
 
 
+def _sentence(remark: str) -> str:
+    return f"{remark[0].upper()}{remark[1:]}."
+
+
 def _sentences(*texts: str) -> str:
     return " ".join(text for text in texts if text)
-
-
-def _impossible(result: JointIdentification) -> list[str]:
-    """What rules the parameters out however well they fit, a sentence each."""
-    said = []
-    n_frequencies, n_parameters = _frequencies(result), len(result.values)
-    if 2 * n_frequencies < n_parameters:
-        counted = "1 frequency" if n_frequencies == 1 else f"{n_frequencies} frequencies"
-        said.append(
-            f"The movement has power at {counted} alone, and a response is two numbers at each: the structure has "
-            f"{n_parameters} free parameters, which no such movement determines. Perturb a band of frequencies."
-        )
-    lower, upper = result.interval("stiffness")
-    if result.values["stiffness"] + result.values.get("short_range_stiffness", 0.0) < 0.0 and upper < 0.0:
-        said.append(
-            f"The stiffness of the joint is negative ({plain(lower, 3)} to {plain(upper, 3)} "
-            f"{result.unit_of('stiffness')}): a joint resists what moves it. The sign of torque or angle is "
-            "turned (signals.force.exerted_by of the sidecar), or the structure is wrong."
-        )
-    return said
-
-
-def _frequencies(result: JointIdentification) -> int:
-    """At how many frequencies the movement has power, as far as the spectrum resolves them.
-
-    The first trial's movement is counted where the model has it without noise; the bands in which a lack of fit is
-    looked for are those of all trials, which may have a frequency each, and count where they are more.
-    """
-    trace = result.trace
-    moved = trace.predicted if result.servo == "force" else trace.paths["intrinsic"]
-    tapered = (moved - moved.mean()) * signal.windows.hann(len(moved), sym=False)
-    power = np.abs(fft.rfft(tapered)) ** 2
-    count, after = 0, 0
-    for line in np.flatnonzero(power > EXCITED_POWER * power.max()):
-        if line >= after:
-            count, after = count + 1, int(line) + RESOLUTION
-    return max(count, result.lack_of_fit.dof // 2)

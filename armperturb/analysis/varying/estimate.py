@@ -30,6 +30,7 @@ from armperturb.analysis.fit.whittle import Normal
 from armperturb.analysis.joint.choice import ScoredStructure, score_of, structures
 from armperturb.analysis.joint.model import DYNAMICS, REFLEXES, JointStructure, Reflex
 from armperturb.analysis.joint.prediction import explained
+from armperturb.analysis.joint.remarks import cut_short
 from armperturb.analysis.joint.signals import TOP, JointSignals, joint_signals, mean_angle
 from armperturb.analysis.joint.torque_likelihood import BlockScore
 from armperturb.analysis.joint_balance import impossible_joint
@@ -68,6 +69,13 @@ SHORTEST = 1.0
 
 FEWEST = 4
 """Repetitions of an ensemble at least."""
+
+SHARED = 0.002
+"""Share of the velocity's variance that must differ between repetitions [-]: a perturbation of 5 % of a movement that
+they share has 0.0025; what noise of an angle makes of equal ones is mostly less."""
+
+LITTLE = 10.0
+"""Share of the torque below which a remark says how little the model explains [%]."""
 
 N_FOLDS = 5
 
@@ -133,8 +141,8 @@ def identify_varying(
       n_points: of the curves.
 
     Raises:
-      ValueError: the recording is of another kind, of several people, tasks or conditions, an option is unknown, or too
-        little is left to fit.
+      ValueError: the recording is of another kind, of several people, tasks or conditions, repetitions of an ensemble
+        have the same perturbation, an option is unknown, or too little is left to fit.
     """
     check_recording(recording)
     require_one_of("identify_varying", "variable", variable, tuple(CANDIDATES))
@@ -177,10 +185,16 @@ def identify_varying(
         if name != "static"
     }
     model, values = solution.model, solution.values
+    dynamics = dict(zip(model.dynamics, map(float, values[model.n_linear :]), strict=True))
+    if ensemble and "gain" in curves:
+        # What the reflex answers to so late acts when the record is over.
+        reach = dynamics["reflex_delay"] + 1.0 / (2 * np.pi * dynamics["reflex_frequency"])
+        curves["gain"].standard_error[grid > high - reach] = np.inf
     every, there = (signals, place) if fit_until is None else _recorded(recording, ensemble, reference)
     torque, predicted = every.torque, replace(model, signals=every, variable=there).torque(values)
     if ensemble:
         torque, predicted = (each - each.mean(axis=0) for each in (torque, predicted))
+    vaf = explained(torque[:, signals.used], predicted[:, signals.used])
     held = slice(signals.angle.shape[1], every.used.stop)
     return VaryingEstimate(
         label=named(recording),
@@ -192,13 +206,24 @@ def identify_varying(
         inertia=float(values[0]),
         inertia_error=float(_size(solution.influence)[0]),
         tried=scored,
-        dynamics=dict(zip(model.dynamics, map(float, values[model.n_linear :]), strict=True)),
-        vaf=explained(torque[:, signals.used], predicted[:, signals.used]),
+        dynamics=dynamics,
+        vaf=vaf,
         held_out_vaf=None if fit_until is None else explained(torque[:, held], predicted[:, held]),
         n_trials=len(torque),
         n_groups=len(solution.influence),
-        remarks=(*impossible_joint(recording), *left_out),
+        remarks=(*impossible_joint(recording), *left_out, *_remarks(model, vaf)),
     )
+
+
+def _remarks(model: VaryingModel, vaf: float) -> list[str]:
+    """Why curves may be wrong, without full stop each."""
+    said = [cut_short(model.structure.reflex, model.signals.top, model.signals.beyond)]
+    if vaf < LITTLE:
+        said.append(
+            f"the model explains only {vaf:.1f} % of the torque: what it leaves is taken to be noise, and curves tell "
+            "little of the joint"
+        )
+    return [each for each in said if each]
 
 
 def _recorded(recording: xr.Dataset, ensemble: bool, reference: float) -> tuple[JointSignals, Array]:
@@ -221,6 +246,13 @@ def _recorded(recording: xr.Dataset, ensemble: bool, reference: float) -> tuple[
     signals = joint_signals(recording, reference=reference, settle=SETTLE, shortest=SHORTEST, top=top)
     if signals.scheduling is not None and not ensemble:
         return signals, signals.scheduling
+    velocity = signals.velocity[:, signals.used]
+    differing = np.mean((velocity - velocity.mean(axis=0)) ** 2) / np.mean(velocity**2)
+    if differing < SHARED:
+        raise ValueError(
+            f"recording: {100.0 * differing:.2g} % of the velocity's variance differs between repetitions, which seem "
+            "to have the same perturbation, and what they share is taken out; expected a different one in each"
+        )
     time = float(recording["time"].values[0]) + np.arange(signals.angle.shape[1]) / signals.rate
     return signals, np.broadcast_to(time, signals.angle.shape)
 

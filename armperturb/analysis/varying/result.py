@@ -16,6 +16,9 @@ from armperturb.arrays import Array
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+KNOWN = 5.0
+"""Standard error, over the median of a curve, up to which a point counts for its range in a summary [-]."""
+
 
 class Curve(NamedTuple):
     """A quantity over what it depends on.
@@ -101,11 +104,13 @@ class VaryingEstimate(Result):
         return "s" if self.variable == "time" else "rad" if self.angular else "m"
 
     def describe(self) -> Description:
-        """Constant parameters, range and error of each curve."""
-        rows = tuple(
-            (name, f"{c.value.min():.4g}", f"{c.value.max():.4g}", f"{np.median(c.standard_error):.2g}", f"{c.n_basis}")
-            for name, c in self.curves.items()
-        )
+        """Constant parameters, and of each curve its median error and its range where it is known."""
+        rows = []
+        for name, curve in self.curves.items():
+            finite = curve.standard_error[np.isfinite(curve.standard_error)]
+            error = np.median(finite) if len(finite) else np.inf
+            known = curve.value[curve.standard_error <= KNOWN * error]
+            rows.append((name, f"{known.min():.4g}", f"{known.max():.4g}", f"{error:.2g}", f"{curve.n_basis}"))
         over = "time" if self.variable == "time" else "the scheduling variable"
         what, driven, moved = (
             ("Joint", "torque", "angle") if self.angular else ("One direction", "force", "displacement")
@@ -127,7 +132,7 @@ class VaryingEstimate(Result):
             + (f" ({joint})" if (joint := self.labels["joint"]) else "")
             + f", over {over}",
             facts=tuple(facts),
-            table=Table(("quantity", "least", "greatest", "standard error", "splines"), rows),
+            table=Table(("quantity", "least", "greatest", "standard error", "splines"), tuple(rows)),
             remarks=self.remarks,
         )
 
@@ -163,7 +168,12 @@ class VaryingEstimate(Result):
 
         label = f"{'time' if self.variable == 'time' else 'scheduling variable'} ({self.unit})"
         courses = [
-            Course(f"{name} ({self.unit_of(name)})", self.grid, curve.value, *self.interval(name))
+            Course(
+                f"{name} ({self.unit_of(name)})",
+                self.grid,
+                np.where(np.isfinite(curve.standard_error), curve.value, np.nan),
+                *self.interval(name),
+            )
             for name, curve in self.curves.items()
         ]
         return plot_courses(courses, label, figure)

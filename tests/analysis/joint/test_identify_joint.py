@@ -101,6 +101,16 @@ def test_the_band_is_that_which_the_likelihood_counts(recording, top, highest):
     assert lowest <= counted[0] <= counted[-1] <= most < counted[-1] + 1.0
 
 
+def test_a_movement_beyond_the_band_is_measured(recording):
+    time = np.arange(1000) / 100.0
+    tones = 1.0 / 5.0 * np.sin(2 * np.pi * 5.0 * time) + 0.2 / 35.0 * np.sin(2 * np.pi * 35.0 * time)
+    slow = recording.isel(time=slice(0, 1000)).assign_attrs(rate=100.0).assign_coords(time=time)
+    slow["time"].attrs["units"] = "s"
+    moved = slow.assign(displacement=slow["displacement"].copy(data=0.05 * tones[None, :, None]))
+    assert joint_signals(moved).beyond == pytest.approx(0.2**2, rel=0.05)
+    assert joint_signals(recording).beyond < 1e-3
+
+
 @pytest.mark.slow(reason="a search by maximum likelihood of four structures")
 def test_the_reflex_and_its_parameters(ankle, result):
     assert result.structure.reflex == "half-wave"

@@ -8,6 +8,9 @@ import pytest
 import armperturb
 from armperturb.analysis.fit.whittle import LackOfFit
 from armperturb.analysis.joint.identify import identify_joint
+from armperturb.analysis.joint.model import JointStructure
+from armperturb.analysis.joint.part_differences import PartDifferences
+from armperturb.analysis.joint.remarks import remarks_on
 from armperturb.analysis.page.joint_page import joint_verdict, write_joint_page
 from armperturb.analysis.page.page import Origin
 from armperturb.plots.style import new_figure
@@ -17,6 +20,7 @@ RATE = 200
 TONES = (0.7, 1.3, 2.1, 3.2, 4.4, 5.6, 7.1, 9.3, 11.7, 14.2)
 FITS = LackOfFit(20.0, 20)
 LARGE = LackOfFit(200.0, 20)
+AROUND = {"stiffness": 60.0}, {"stiffness": 80.0}
 
 
 def trials(*tones, sign=1.0):
@@ -64,6 +68,7 @@ def test_a_joint_that_leaves_more_than_it_explains_is_used_with_care(result):
     said = joint_verdict(ahead(little, 0.0))
     assert said.level == "care"
     assert "leaves 82 % of the variance of the torque" in said.text
+    assert any("leaves 82 % of the variance of the torque" in remark for remark in remarks_on(little, 1))
     moved = on_force_servo(replace(result, vaf=result.vaf | {"total": 18.0, "movement": 90.0}))
     assert joint_verdict(moved).level == "trust"
 
@@ -102,6 +107,8 @@ def test_a_movement_of_one_frequency_determines_no_parameters():
     assert said.level == "reject"
     assert "power at 1 frequency alone" in said.text
     assert "3 free parameters" in said.text
+    assert any("power at 1 frequency alone" in remark for remark in sine.remarks)
+    assert any("nearly a sine" in remark for remark in sine.remarks)
 
 
 @pytest.mark.slow(reason="identifies a joint")
@@ -111,10 +118,30 @@ def test_frequencies_of_several_trials_count_together(result):
 
 
 def test_a_negative_stiffness_is_not_trusted():
-    turned = joint_verdict(identify_joint(trials(TONES, sign=-1.0), reflex="none"))
+    negative = identify_joint(trials(TONES, sign=-1.0), reflex="none")
+    assert any("stiffness of the joint is negative" in remark for remark in negative.remarks)
+    turned = joint_verdict(negative)
     assert turned.level == "reject"
     assert "stiffness of the joint is negative" in turned.text
     assert "exerted_by" in turned.text
+
+
+def test_parts_that_differ_are_not_one_joint(result):
+    some = replace(result, parts=PartDifferences({"stiffness": 0.12}, 8, "the record", 5.0, *AROUND))
+    assert joint_verdict(some).level == "care"
+    assert "most before and after 5.0 s (stiffness 60.0; then stiffness 80.0)" in joint_verdict(some).text
+    assert joint_verdict(replace(some, parts=some.parts._replace(spread={"stiffness": 0.3}))).level == "reject"
+
+
+def test_a_half_wave_whose_movement_is_cut_short_is_used_with_care(result):
+    linear = replace(result, beyond=0.07)
+    assert joint_verdict(linear).level == "trust"
+    for top, remedy in {30.0: "record or convert at 200 Hz or more", 60.0: "perturb with less that is fast"}.items():
+        cut = replace(linear, structure=JointStructure(reflex="half-wave"), top=top)
+        assert joint_verdict(cut).level == "care"
+        assert f"goes on beyond {top:g} Hz" in joint_verdict(cut).text
+        assert any(remark.endswith(remedy) for remark in remarks_on(cut, 1))
+        assert joint_verdict(replace(cut, beyond=0.017)).level == "trust"
 
 
 @pytest.mark.slow(reason="fits and draws a page")
@@ -123,6 +150,14 @@ def test_the_page_of_a_rejected_joint_points_to_no_list_of_causes(result, tmp_pa
     page = (tmp_path / "identify.html").read_text()
     assert "Do not trust the parameters." in page
     assert "names likely causes" not in page
+
+
+@pytest.mark.slow(reason="fits and draws a page")
+def test_a_page_says_each_doubt_only_once(result, tmp_path):
+    doubt = "the stiffness of the joint is negative"
+    turned = identify_joint(trials(TONES, sign=-1.0), reflex="none")
+    write_joint_page(turned, tmp_path / "identify.html", Origin())
+    assert (tmp_path / "identify.html").read_text().lower().count(doubt) == 1
 
 
 @pytest.mark.slow(reason="draws pages")

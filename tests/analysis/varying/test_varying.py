@@ -238,3 +238,34 @@ def test_bad_input_is_refused():
         identify_varying(good, reflex="cubic")
     with pytest.raises(ValueError, match="angle of a trial is constant"):
         identify_varying(recorded(0 * angle, torque))
+    noise = 2e-5 * np.random.default_rng(1).standard_normal(angle.shape)
+    equal = angle[:1] + np.array([[0.0], [1.0], [2.0], [3.0]]) * 0.01 + noise
+    with pytest.raises(ValueError, match=r"% of the velocity's variance differs between.*expected a different one"):
+        identify_varying(recorded(equal, torque))
+
+
+def test_a_small_perturbation_of_a_movement_that_repetitions_share_is_taken():
+    angle, torque = measured(100.0, 6, 1.2, 0.02)
+    reach = np.sin(2 * np.pi * 0.8 * np.arange(angle.shape[1]) / RATE)[None]
+    reach *= 10.0 * derivative(angle).std() / derivative(reach).std()
+    estimate = identify_varying(recorded(angle + reach, torque + 3.0 * reach), reflex="none")
+    assert estimate.curves["stiffness"].value.mean() == pytest.approx(100.0, rel=0.05)
+    assert not estimate.remarks
+
+
+def test_curves_of_noise_are_said_to_be():
+    angle, torque = measured(100.0, 6, 1.2, 0.02)
+    estimate = identify_varying(recorded(angle, np.random.default_rng(3).standard_normal(torque.shape)), reflex="none")
+    assert any("% of the torque: what it leaves is taken to be noise" in remark for remark in estimate.remarks)
+
+
+def test_the_gain_is_not_known_where_the_reflex_has_not_acted_yet():
+    angle, torque = measured(100.0, 6, 1.2, 0.02)
+    estimate = identify_varying(recorded(angle, torque + reflex_torque(angle, "linear")), reflex="linear")
+    late = estimate.grid > estimate.grid[-1] - 0.04 - 1.0 / (2 * np.pi * 5.0) + 0.01
+    assert np.isinf(estimate.curves["gain"].standard_error[late]).all()
+    assert np.isfinite(estimate.curves["gain"].standard_error[estimate.grid < estimate.grid[-1] - 0.1]).all()
+    assert np.isfinite(estimate.curves["stiffness"].standard_error).all()
+    gain = next(row for row in estimate.describe().table.rows if row[0] == "gain")
+    assert 0.5 < float(gain[1]) <= float(gain[2]) < 1.5
+    assert np.isnan(estimate.plot()[2].lines[0].get_ydata()[-1])
