@@ -42,7 +42,8 @@ from armperturb.analysis.emg.channels import (
 from armperturb.analysis.emg.whitening import Intervals, Spectra, noise_spectra, whitening
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.arrays import Array, Indices
-from armperturb.recording import EXPECTED, TEXT_COORDINATES, Action, emg_highpass, muscle_actions
+from armperturb.copied_trials import without_copies
+from armperturb.recording import EXPECTED, REQUIRED_SIGNALS, TEXT_COORDINATES, Action, emg_highpass, muscle_actions
 from armperturb.validation import require_number, require_type
 
 if TYPE_CHECKING:
@@ -109,6 +110,7 @@ class Envelopes(Result):
       crosstalk: pairs of channels that share a signal.
       hum: name of each channel that hums to the frequencies that are cut out [Hz].
       contractions: conditions in which muscles are contracted on purpose, whatever the task is.
+      copies: a line on each trial that repeats another and is left out.
     """
 
     muscles: dict[str, Action]
@@ -126,6 +128,7 @@ class Envelopes(Result):
     crosstalk: tuple[Crosstalk, ...]
     hum: dict[str, list[float]]
     contractions: tuple[str, ...] = ()
+    copies: tuple[str, ...] = ()
 
     @property
     def is_normalised(self) -> bool:
@@ -170,7 +173,7 @@ class Envelopes(Result):
     @property
     def remarks(self) -> tuple[str, ...]:
         """What is wrong with the channels, a line each."""
-        said = list(said_of(self.faults))
+        said = [*self.copies, *said_of(self.faults)]
         for name, lines in self.hum.items():
             said.append(f"EMG of {name} hums at {', '.join(f'{line:.1f}' for line in lines)} Hz: cut out")
         said += map(str, self.crosstalk)
@@ -330,6 +333,9 @@ def envelopes(
     high = HIGH_SHARE * rate if high is None else high
     require_number("envelopes", "low", low, above=0.0, below=rate / 4.0)
     require_number("envelopes", "high", high, above=low, at_most=rate / 2.0)
+    moves = "displacement" in recording.data_vars
+    each_once = without_copies(recording, REQUIRED_SIGNALS if moves else ("emg",))
+    recording = each_once.recording
     volts, actions = recording["emg"].values, muscle_actions(recording)
     names, conditions = list(actions), recording["condition"].values.astype(str)
     spectra = Spectra.of(volts, rate, low, mains)
@@ -385,6 +391,7 @@ def envelopes(
         crosstalk=crosstalk_of(shared, names),
         hum={names[column]: lines for column, lines in filtered.hum.items()},
         contractions=tuple(contractions),
+        copies=each_once.remarks,
     )
 
 
