@@ -50,6 +50,16 @@ def test_a_response_turns_with_its_axes(recording, other, method):
     assert np.abs(after.response - turned).max() < 1e-3 * np.abs(turned).max()
 
 
+@pytest.mark.slow(reason="estimates responses")
+@pytest.mark.parametrize("seed", [4, 5])
+def test_the_order_of_trials_does_not_choose_that_of_a_polynomial(seed):
+    arm = replace(Arm(), kp=(10.0, 3.0, 10.0), kv=(5.0, 1.0, 5.0))
+    setup = Setup(arm=arm, kind="noise", duration=18.0, n_trials=2, rate=100.0, rms=3e-3, linear=True, seed=seed)
+    recording = setup.recording()
+    before, after = (ap.response(each, "noise").response for each in (recording, recording.isel(trial=[1, 0])))
+    np.testing.assert_allclose(after, before, rtol=1e-6)
+
+
 @pytest.mark.slow(reason="fits two recordings")
 @pytest.mark.parametrize("estimator", ["record", "frequency"])
 def test_parameters_are_the_same(recording, other, estimator):
