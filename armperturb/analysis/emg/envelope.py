@@ -39,7 +39,7 @@ from armperturb.analysis.emg.channels import (
     require_raw,
     said_of,
 )
-from armperturb.analysis.emg.whitening import Intervals, Spectra, noise_spectra, whitening
+from armperturb.analysis.emg.whitening import Intervals, Spectra, noise_spectra, passed_band, whitening
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.arrays import Array, Indices
 from armperturb.copied_trials import without_copies
@@ -316,7 +316,8 @@ def envelopes(
     Args:
       recording: of one person, with EMG.
       low: lower edge of the band [Hz].
-      high: upper edge of the band [Hz]; None for 45 % of the sampling rate.
+      high: upper edge of the band [Hz]; None for 45 % of the sampling rate, or less where the amplifier passes less,
+        see `whitening.passed_band`.
       mains: frequencies whose hum is looked for, with their multiples [Hz].
       whiten: whether to whiten; if not, the band alone is let through.
       maximal: condition of the trials of maximal contraction.
@@ -330,9 +331,8 @@ def envelopes(
     if len(people := dict.fromkeys(recording["subject"].values.tolist())) > 1:
         raise ValueError(f"envelopes: EMG of {', '.join(map(str, people))}; expected one person's")
     rate, mechanical = float(recording.attrs["emg_rate"]), float(recording.attrs["rate"])
-    high = HIGH_SHARE * rate if high is None else high
     require_number("envelopes", "low", low, above=0.0, below=rate / 4.0)
-    require_number("envelopes", "high", high, above=low, at_most=rate / 2.0)
+    require_number("envelopes", "high", high, above=low, at_most=rate / 2.0, optional=True)
     moves = "displacement" in recording.data_vars
     each_once = without_copies(recording, REQUIRED_SIGNALS if moves else ("emg",))
     recording = each_once.recording
@@ -340,6 +340,7 @@ def envelopes(
     names, conditions = list(actions), recording["condition"].values.astype(str)
     spectra = Spectra.of(volts, rate, low, mains)
     require_raw(volts, spectra.below, names)
+    high = passed_band(spectra, low, HIGH_SHARE * rate) if high is None else high
     noise = noise_spectra(spectra, (low, high), conditions == rest)
     knows_noise, noise = np.isfinite(noise).all(axis=-1), np.nan_to_num(noise)
     filtered = whitening(
