@@ -206,7 +206,6 @@ def low_passed(emg, cutoff):
     return emg.copy(data=signal.sosfiltfilt(sos, emg.values, axis=1).astype(np.float32))
 
 
-@pytest.mark.slow(reason="analyses EMG")
 @pytest.mark.parametrize("level", [0.0, 0.01])
 @pytest.mark.parametrize(("order", "cutoff"), [(4, 450.0), (8, 500.0), (2, 600.0)])
 def test_the_low_pass_of_an_amplifier_makes_no_noise_of_a_relaxed_muscle_activity(order, cutoff, level):
