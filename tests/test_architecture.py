@@ -14,6 +14,7 @@ ROOT = Path(armperturb.__file__).parent
 
 BASE = {"arrays", "memory", "validation", "extras", "seeds", "files", "foreign", "recording", "recording_files"}
 BASE |= {"joined_recordings", "jit", "muscle_law", "person_files", "subject", "environment", "joint_person"}
+BASE |= {"copied_trials"}
 ARM = BASE | {
     "analysis.cuts", "analysis.defaults", "analysis.plateaus", "analysis.arm", "analysis.excited_bands",
     "analysis.imbalance", "analysis.force_balance", "analysis.trials", "analysis.per_trials", "analysis.manipulator",
@@ -43,6 +44,7 @@ ARROWS = {
     "foreign": {"extras", "files"},
     "recording": {"files", "validation"},
     "joined_recordings": {"recording", "validation"},
+    "copied_trials": {"recording"},
     "recording_files": {"files", "foreign", "recording", "validation"},
     "archive": {"files"},
     "workers": {"extras", "memory", "validation"},

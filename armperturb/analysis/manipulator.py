@@ -1,6 +1,6 @@
-"""How well trials tell the manipulator in which they were recorded, and whether it is possible."""
+"""How well trials tell the manipulator in which they were recorded, and remarks on trials that are no good."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -26,6 +26,16 @@ def manipulator_covariance(trials: ConditionTrials) -> Array:
 def impossible(parts: Sequence[ConditionTrials]) -> tuple[str, ...]:
     """What of the signals of a condition no handle can show, a line each: signs, axes or units; mostly nothing."""
     return tuple(dict.fromkeys(wrong for part in parts for wrong in _impossible(part)))
+
+
+def copies_left_out(parts: Iterable[ConditionTrials]) -> tuple[str, ...]:
+    """A line on each trial of a condition that repeats another and is left out."""
+    return tuple(dict.fromkeys(line for part in parts for line in part.copies.get(part.label, ())))
+
+
+def remarks_on_trials(parts: Sequence[ConditionTrials]) -> tuple[str, ...]:
+    """Which trials of a condition are left out as copies, and what is `impossible`, a line each."""
+    return (*copies_left_out(parts), *impossible(parts))
 
 
 @per_trials

@@ -1,6 +1,7 @@
 """Trials that nothing but a pulse perturbs."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,14 +22,12 @@ def used_whole(several: Sequence[ConditionTrials]) -> list[ConditionTrials]:
     Args:
       several: trials, those of one length together.
     """
-    return [
-        ConditionTrials.prepare(
-            trials.recording.assign_coords(pulse_onset=("trial", np.full(trials.n_trials, np.nan))), is_checked=True
-        )
-        if _has_pulses_alone(trials)
-        else trials
-        for trials in several
-    ]
+    return [_without_onsets(trials) if _has_pulses_alone(trials) else trials for trials in several]
+
+
+def _without_onsets(trials: ConditionTrials) -> ConditionTrials:
+    recording = trials.recording.assign_coords(pulse_onset=("trial", np.full(trials.n_trials, np.nan)))
+    return replace(ConditionTrials.prepare(recording, is_checked=True), copies=trials.copies)
 
 
 def fitted_whole(several: Sequence[ConditionTrials]) -> list[ConditionTrials]:

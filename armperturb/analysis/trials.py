@@ -21,6 +21,7 @@ from armperturb.analysis.force_balance import EDGE, Balance, NoiseLevels, Skew
 from armperturb.analysis.numerics.periodicity import are_independent, find_period, samples_of_period
 from armperturb.analysis.start import constant_force, start_at_rest
 from armperturb.arrays import Array, Indices
+from armperturb.copied_trials import Lines, each_once, joined_lines, without_copies
 from armperturb.environment import Environment
 from armperturb.recording import ARM_LABELS, EXPECTED, TRIAL_COORDINATES, check_recording
 from armperturb.subject import POSITION, RELAX, TASKS, Subject
@@ -61,6 +62,7 @@ class ConditionTrials:
       given: manipulator and instrument noise; None to identify them from these trials.
       given_covariance: of the errors of the given manipulator, see `manipulator.manipulator_covariance`; None for none.
       last: number of samples that fits over whole records may use; None for all.
+      copies: condition to a line on each trial that repeats another and is left out.
     """
 
     recording: xr.Dataset
@@ -69,11 +71,12 @@ class ConditionTrials:
     given: tuple[Environment, NoiseLevels] | None = None
     given_covariance: Array | None = None
     last: int | None = None
+    copies: Lines = field(default_factory=dict)
     results: dict[object, Any] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
     def prepare(cls, recording: xr.Dataset, *, is_checked: bool = False) -> Self:
-        """Check the trials of one person in one condition.
+        """Check the trials of one person in one condition, and leave out copies.
 
         Args:
           recording: the trials.
@@ -84,7 +87,7 @@ class ConditionTrials:
         """
         if not is_checked:
             check_recording(recording)
-        return cls(recording=recording, numbers=np.arange(recording.sizes["trial"]))
+        return cls(**without_copies(recording)._asdict())
 
     @cached_property
     def label(self) -> str:
@@ -371,7 +374,7 @@ def prepared(trials: Trials) -> ConditionTrials:
 
 
 def prepared_recordings(recordings: SeveralTrials, *, one_rate: bool = True) -> list[ConditionTrials]:
-    """One or several recordings, prepared if they are not yet.
+    """One or several recordings, prepared if they are not yet; a trial of several of them counts once.
 
     Args:
       recordings: of one or several trials each.
@@ -386,7 +389,13 @@ def prepared_recordings(recordings: SeveralTrials, *, one_rate: bool = True) -> 
     rates = sorted({part.rate for part in trials})
     if one_rate and len(rates) > 1:
         raise ValueError(f"recordings: rate = {', '.join(f'{rate:g}' for rate in rates)} Hz; expected one rate")
-    return trials
+    if len(trials) == 1:
+        return trials
+    inside, lines = each_once([part.recording for part in trials], [part.numbers for part in trials])
+    if not lines:
+        return trials
+    copies = joined_lines([*(part.copies for part in trials), lines])
+    return [replace(part.take(those), copies=copies) for part, those in zip(trials, inside, strict=True) if those]
 
 
 def prepared_condition(recordings: SeveralTrials) -> list[ConditionTrials]:
@@ -416,8 +425,9 @@ def trials_by_condition(recording: xr.Dataset, *, is_checked: bool = False) -> d
     people = list(dict.fromkeys(recording["subject"].values.tolist()))
     if len(people) > 1:
         raise ValueError(f"recording: subject = {', '.join(map(str, people))}; expected one person")
+    recording, _, copies = without_copies(recording)
     return {
-        str(label): ConditionTrials.prepare(of_condition(recording, label), is_checked=True)
+        str(label): replace(ConditionTrials.prepare(of_condition(recording, label), is_checked=True), copies=copies)
         for label in dict.fromkeys(recording["condition"].values.tolist())
     }
 

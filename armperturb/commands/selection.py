@@ -9,6 +9,7 @@ import xarray as xr
 
 from armperturb.convert.checks import check_recordings
 from armperturb.convert.importer import import_recording, require_each_once
+from armperturb.copied_trials import without_copies
 from armperturb.environment import Environment
 
 
@@ -75,7 +76,7 @@ def select_trials(
       optional: signals to read beside those that every recording has.
 
     Returns:
-      The recordings that have such trials, without their others; and notes, a sentence each.
+      The recordings that have such trials, without their others and copies; and notes, a sentence each.
 
     Raises:
       ValueError: as `import_recording`; no trial has the name, or one of several has to be chosen.
@@ -83,7 +84,8 @@ def select_trials(
     require_each_once(files)
     imported = [import_recording([path], sidecar=sidecar, optional=optional) for path in files]
     notes = list(dict.fromkeys(note for _, of_file in imported for note in of_file))
-    source, selected = ", ".join(map(str, files)), [recording for recording, _ in imported]
+    # Now, as notes count the trials of the files.
+    source, selected = ", ".join(map(str, files)), [without_copies(recording).recording for recording, _ in imported]
     of_files = list(map(str, files))
     for label, wanted, single in (("subject", subject, True), ("condition", condition, single_condition)):
         names = list(dict.fromkeys(name for recording in selected for name in recording[label].values.tolist()))

@@ -15,7 +15,8 @@ from armperturb.convert.raw import RawTrial
 from armperturb.convert.sidecar import Sidecar
 from armperturb.convert.tables import TABLES
 from armperturb.convert.units import UNITS
-from armperturb.recording import CLOCKS, REQUIRED_SIGNALS, SIGNALS
+from armperturb.copied_trials import copies_of
+from armperturb.recording import CLOCKS, SIGNALS
 from armperturb.validation import RANGES, require_number
 
 LARGEST_NUMBER = 1e16
@@ -35,10 +36,6 @@ REACH = 1.0
 
 AWAY = 0.01
 """Distance from its start at which no path stays throughout, unless it moves by more [m]; refuses places in a room."""
-
-COPIED = 1e-4
-"""RMS by which the signals of copies differ at most, over their own [-]: by rounding. No two trials of a person, and of
-hardly any instrument, agree so well."""
 
 _POSTURE = ("l_h", "l_f", "theta_s_deg", "theta_e_deg")
 
@@ -82,7 +79,7 @@ def other_units(trials: Iterable[RawTrial], meaning: Sidecar) -> list[str]:
 
 
 def check_different(recordings: Sequence[xr.Dataset], names: Sequence[str], files: Sequence[str]) -> tuple[str, ...]:
-    """Refuse trials that are in two files: copies would count as independent.
+    """Refuse trials that are in two files.
 
     Args:
       recordings: to compare; their trials follow one another in `names` and `files`.
@@ -90,52 +87,20 @@ def check_different(recordings: Sequence[xr.Dataset], names: Sequence[str], file
       files: that hold them.
 
     Returns:
-      A note for each trial that equals another of its file, as those of an ideal person may.
+      A note for each trial that repeats another of its file.
 
     Raises:
       ValueError: a trial is in two files.
     """
-    notes = []
-    trials = [recording.isel(trial=trial) for recording in recordings for trial in range(recording.sizes["trial"])]
-    for place, before in sorted(_copies(trials).items()):
+    copies, left_out = copies_of(recordings, alike=False), copies_of(recordings)
+    for place, before in copies.items():
         if files[before] != files[place]:
             raise ValueError(f"{names[place]} has the signals of {names[before]}; expected each trial in one file only")
-        notes.append(f"{names[place]} has the signals of {names[before]}: they do not count as independent trials")
-    return tuple(notes)
-
-
-def _copies(trials: Sequence[xr.Dataset]) -> dict[int, int]:
-    """Place of each trial that is a copy to that of the first of its like."""
-    shortest = min((trial.sizes["time"] for trial in trials), default=0)
-    paths = [trial["displacement"].values for trial in trials]
-    # Copies have nearly the same mean, so that not all have to be compared with all.
-    means = np.array([path[:shortest].mean(dtype=float) for path in paths])
-    within = COPIED * np.array([np.linalg.norm(path) for path in paths]) / np.sqrt(max(shortest, 1))
-    first: dict[int, int] = {}
-    order = np.argsort(means, kind="stable").tolist()
-    for rank, place in enumerate(order):
-        for other in reversed(order[:rank]):
-            if means[place] - means[other] > max(within[place], within[other]):
-                break
-            if _is_copy(trials[place], trials[other]):
-                same = {place, other, first.get(place, place), first.get(other, other)}
-                first |= dict.fromkeys(same, min(same))
-    return {place: before for place, before in first.items() if before != place}
-
-
-def _is_copy(trial: xr.Dataset, other: xr.Dataset) -> bool:
-    """Whether trials have the same signals but for rounding, and for an end that one may lack."""
-    n, longest = sorted((trial.sizes["time"], other.sizes["time"]))
-    if 2 * n < longest or trial.attrs["rate"] != other.attrs["rate"]:
-        return False
-    for name in REQUIRED_SIGNALS[::-1]:
-        if (name in trial.data_vars) != (name in other.data_vars):
-            return False
-        if name in trial.data_vars:
-            here, there = (np.asarray(each[name].values[:n], dtype=float) for each in (trial, other))
-            if here.shape != there.shape or np.linalg.norm(here - there) > COPIED * np.linalg.norm(here):
-                return False
-    return True
+    others = {place: before for place, before in copies.items() if place not in left_out}
+    return (
+        *(f"{names[place]} repeats {names[before]}: analyses leave it out" for place, before in left_out.items()),
+        *(f"{names[place]} repeats {names[before]}, which has other labels" for place, before in others.items()),
+    )
 
 
 def check_recordings(recordings: Sequence[xr.Dataset], files: Sequence[str]) -> tuple[str, ...]:

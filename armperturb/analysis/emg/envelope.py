@@ -39,10 +39,11 @@ from armperturb.analysis.emg.channels import (
     require_raw,
     said_of,
 )
-from armperturb.analysis.emg.whitening import Intervals, Spectra, noise_spectra, whitening
+from armperturb.analysis.emg.whitening import Intervals, Spectra, noise_spectra, passed_band, whitening
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.arrays import Array, Indices
-from armperturb.recording import EXPECTED, TEXT_COORDINATES, Action, emg_highpass, muscle_actions
+from armperturb.copied_trials import without_copies
+from armperturb.recording import EXPECTED, REQUIRED_SIGNALS, TEXT_COORDINATES, Action, emg_highpass, muscle_actions
 from armperturb.validation import require_number, require_type
 
 if TYPE_CHECKING:
@@ -109,6 +110,7 @@ class Envelopes(Result):
       crosstalk: pairs of channels that share a signal.
       hum: name of each channel that hums to the frequencies that are cut out [Hz].
       contractions: conditions in which muscles are contracted on purpose, whatever the task is.
+      copies: a line on each trial that repeats another and is left out.
     """
 
     muscles: dict[str, Action]
@@ -126,6 +128,7 @@ class Envelopes(Result):
     crosstalk: tuple[Crosstalk, ...]
     hum: dict[str, list[float]]
     contractions: tuple[str, ...] = ()
+    copies: tuple[str, ...] = ()
 
     @property
     def is_normalised(self) -> bool:
@@ -170,7 +173,7 @@ class Envelopes(Result):
     @property
     def remarks(self) -> tuple[str, ...]:
         """What is wrong with the channels, a line each."""
-        said = list(said_of(self.faults))
+        said = [*self.copies, *said_of(self.faults)]
         for name, lines in self.hum.items():
             said.append(f"EMG of {name} hums at {', '.join(f'{line:.1f}' for line in lines)} Hz: cut out")
         said += map(str, self.crosstalk)
@@ -313,7 +316,8 @@ def envelopes(
     Args:
       recording: of one person, with EMG.
       low: lower edge of the band [Hz].
-      high: upper edge of the band [Hz]; None for 45 % of the sampling rate.
+      high: upper edge of the band [Hz]; None for 45 % of the sampling rate, or less where the amplifier passes less,
+        see `whitening.passed_band`.
       mains: frequencies whose hum is looked for, with their multiples [Hz].
       whiten: whether to whiten; if not, the band alone is let through.
       maximal: condition of the trials of maximal contraction.
@@ -327,13 +331,16 @@ def envelopes(
     if len(people := dict.fromkeys(recording["subject"].values.tolist())) > 1:
         raise ValueError(f"envelopes: EMG of {', '.join(map(str, people))}; expected one person's")
     rate, mechanical = float(recording.attrs["emg_rate"]), float(recording.attrs["rate"])
-    high = HIGH_SHARE * rate if high is None else high
     require_number("envelopes", "low", low, above=0.0, below=rate / 4.0)
-    require_number("envelopes", "high", high, above=low, at_most=rate / 2.0)
+    require_number("envelopes", "high", high, above=low, at_most=rate / 2.0, optional=True)
+    moves = "displacement" in recording.data_vars
+    each_once = without_copies(recording, REQUIRED_SIGNALS if moves else ("emg",))
+    recording = each_once.recording
     volts, actions = recording["emg"].values, muscle_actions(recording)
     names, conditions = list(actions), recording["condition"].values.astype(str)
     spectra = Spectra.of(volts, rate, low, mains)
     require_raw(volts, spectra.below, names)
+    high = passed_band(spectra, low, HIGH_SHARE * rate) if high is None else high
     noise = noise_spectra(spectra, (low, high), conditions == rest)
     knows_noise, noise = np.isfinite(noise).all(axis=-1), np.nan_to_num(noise)
     filtered = whitening(
@@ -385,6 +392,7 @@ def envelopes(
         crosstalk=crosstalk_of(shared, names),
         hum={names[column]: lines for column, lines in filtered.hum.items()},
         contractions=tuple(contractions),
+        copies=each_once.remarks,
     )
 
 

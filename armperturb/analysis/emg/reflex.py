@@ -30,6 +30,7 @@ from armperturb.analysis.emg.matching import rows_of
 from armperturb.analysis.emg.pulse_average import pulse_averages
 from armperturb.analysis.emg.rotation import rotation
 from armperturb.analysis.emg.searched_p import searched_p
+from armperturb.analysis.manipulator import copies_left_out
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array, ComplexArray, Indices
@@ -254,7 +255,10 @@ def reflexes(
         response_error=error,
         coherence=coherence,
         averages=pulse_averages(envelopes, rows.tolist()),
-        remarks=_remarks(trials.label, table, envelopes.muscles) if is_perturbed else (),
+        remarks=(
+            *copies_left_out([trials]),
+            *(_remarks(trials.label, table, envelopes.muscles) if is_perturbed else ()),
+        ),
     )
 
 

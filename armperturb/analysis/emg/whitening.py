@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, optimize, signal
+from scipy import fft, ndimage, optimize, signal
 
 from armperturb.analysis.emg.channels import NOTCH, hum_lines
 from armperturb.arrays import Array
@@ -27,6 +27,13 @@ EDGE_ORDER = 4
 
 WHITE = 0.1
 """Mean square deviation of a spectrum from a flat one, over its square, below which it is white [-]."""
+
+FLAT, RISEN = 150.0, 4.0
+"""Frequency below which muscles have most of their power [Hz], and factor by which the share of a quiet trial in the
+mean over trials is larger where it is all noise [-]."""
+
+FALLEN, SMOOTHED = 0.5, 5
+"""Share of white noise that a low-pass leaves at the end of its band [-]; bins over which spectra are smoothed."""
 
 STRONG = 10.0
 """Power over that of the quietest trial from which on a trial is of the muscle, whatever the noise [-]."""
@@ -173,6 +180,38 @@ def band_power(frequency: Array, low: float, high: float) -> Array:
     """Power that passes the band, (frequency,)."""
     f = np.maximum(frequency, 1e-9)
     return np.asarray(1.0 / ((1.0 + (low / f) ** (4 * EDGE_ORDER)) * (1.0 + (f / high) ** (4 * EDGE_ORDER))))
+
+
+def passed_band(spectra: Spectra, low: float, high: float) -> float:
+    """Frequency up to which the amplifier passes what the channels have [Hz], at most the upper edge of the band.
+
+    That is where the white noise of the quietest trial falls. Where the noise is more than the muscle, the trial's
+    share of the mean over trials has risen; what falls before that is the muscle's own spectrum.
+
+    Args:
+      spectra: of the trials.
+      low: lower edge of the band [Hz].
+      high: largest upper edge [Hz].
+    """
+    inside = (spectra.frequency >= 2.0 * low) & (spectra.frequency <= high)
+    frequency, ends = spectra.frequency[inside], []
+    if not (frequency < FLAT).any():
+        return high
+    for power in spectra.power[:, :, inside].swapaxes(0, 1):
+        loud = power.sum(axis=-1)
+        alive = np.flatnonzero(loud > DEAD_SHARE * loud.max())
+        if not len(alive) or not loud.max() > 0.0:
+            continue
+        quietest, mean = (
+            ndimage.median_filter(each, SMOOTHED, mode="nearest")
+            for each in (power[alive[np.argmin(loud[alive])]], power.mean(axis=0))
+        )
+        share = quietest / np.maximum(mean, np.finfo(float).tiny)
+        is_noise = share > RISEN * np.median(share[frequency < FLAT])
+        white = quietest[is_noise.argmax() :]
+        fallen = white < FALLEN * np.median(white[:SMOOTHED])
+        ends.append(frequency[-len(white) :][fallen.argmax()] if is_noise.any() and fallen.any() else high)
+    return float(np.median(ends)) if ends else high
 
 
 def noise_spectra(spectra: Spectra, band: tuple[float, float], is_rest: NDArray[np.bool_]) -> Array:

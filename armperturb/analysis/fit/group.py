@@ -23,7 +23,7 @@ from armperturb.analysis.fit.linear_start import linear_start, linear_starts
 from armperturb.analysis.fit.structures import Structure
 from armperturb.analysis.fit.total_admittance import LONGEST_RUN
 from armperturb.analysis.force_balance import EDGE
-from armperturb.analysis.manipulator import manipulator_covariance
+from armperturb.analysis.manipulator import copies_left_out, manipulator_covariance
 from armperturb.analysis.measures.start_geometry import applied_perturbation
 from armperturb.analysis.per_trials import per_trials
 from armperturb.analysis.response.condition_spectra import condition_spectra, periodic_lines
@@ -258,15 +258,15 @@ def parts_by_condition(recordings: xr.Dataset | Sequence[xr.Dataset]) -> dict[st
       TypeError: recordings are something else.
       ValueError: there is none, or as `trials_by_condition`, of all recordings together.
     """
-    several = [part.recording for part in prepared_recordings(recordings, one_rate=False)]
-    people = list(dict.fromkeys(str(name) for each in several for name in each["subject"].values))
+    several = prepared_recordings(recordings, one_rate=False)
+    people = list(dict.fromkeys(str(name) for each in several for name in each.recording["subject"].values))
     if len(people) > 1:
         raise ValueError(f"recording: subject = {', '.join(people)}; expected one person")
     parts: dict[str, dict[tuple[float, int], list[ConditionTrials]]] = {}
     for each in several:
-        for label, trials in trials_by_condition(each, is_checked=True).items():
+        for label, trials in trials_by_condition(each.recording, is_checked=True).items():
             clock = trials.rate, trials.n_samples
-            parts.setdefault(label, {}).setdefault(clock, []).append(trials)
+            parts.setdefault(label, {}).setdefault(clock, []).append(replace(trials, copies=each.copies))
     return {
         label: tuple(_together(same) for of_clock in by_clock.values() for same in _by_manipulator(of_clock))
         for label, by_clock in parts.items()
@@ -288,7 +288,8 @@ def _by_manipulator(parts: Sequence[ConditionTrials]) -> list[list[ConditionTria
 def _together(parts: Sequence[ConditionTrials]) -> ConditionTrials:
     if len(parts) == 1:
         return parts[0]
-    return ConditionTrials.prepare(join_recordings([part.recording for part in parts]).recording)
+    joined = ConditionTrials.prepare(join_recordings([part.recording for part in parts]).recording)
+    return replace(joined, copies={parts[0].label: copies_left_out(parts)})
 
 
 def pulsed_alike(part: ConditionTrials) -> list[ConditionTrials]:

@@ -21,7 +21,7 @@ from armperturb.analysis.fit.own_structures import composed
 from armperturb.analysis.fit.structures import Structure, is_published, structure_of, unit
 from armperturb.analysis.fit.thesis import ThesisEstimate, fit_trials
 from armperturb.analysis.fit.use_emg import UseOfEmg, told_without_emg
-from armperturb.analysis.manipulator import impossible
+from armperturb.analysis.manipulator import remarks_on_trials
 from armperturb.analysis.measures.endpoint import EndpointImpedance
 from armperturb.analysis.measures.start_geometry import in_start_geometry
 from armperturb.analysis.measures.vaf import prediction_vaf
@@ -345,7 +345,7 @@ def identify_conditions(
     is_cut = estimator != "record" or emg is not None
     said = {
         label: (
-            *impossible(parts),
+            *remarks_on_trials(parts),
             *(cut_by_pulses(parts) if is_cut else ()),
             *remark_on_manipulators(parts),
         )

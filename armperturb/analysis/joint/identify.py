@@ -24,6 +24,7 @@ from armperturb.analysis.joint.trial_differences import trial_differences
 from armperturb.analysis.joint_balance import wrong_joint
 from armperturb.analysis.results import Description, FitResult, Interval, parameter_table, quantile
 from armperturb.arrays import Array
+from armperturb.copied_trials import without_copies
 from armperturb.recording import check_recording, named
 from armperturb.validation import require_number, require_one_of
 
@@ -234,7 +235,8 @@ def identify_joint(
     check_recording(recording)
     require_one_of("identify", "reflex", reflex, (None, *REFLEXES))
     values = one_condition([recording])
-    (recording,), left_out = inside_limit([recording])
+    each_once = without_copies(recording)
+    (recording,), left_out = inside_limit([each_once.recording])
     rate = float(recording.attrs["rate"])
     duration = recording.sizes["time"] / rate
     require_number("identify", "fit_until", fit_until, at_least=SHORTEST, at_most=duration - 1.0, optional=True)
@@ -270,7 +272,7 @@ def identify_joint(
         at_bound=at_bound,
         converged=best.converged,
         message="converged" if best.converged else "the rounds of weighing did not settle",
-        remarks=(*filter(None, [wrong]), *notes, *left_out),
+        remarks=(*each_once.remarks, *filter(None, [wrong]), *notes, *left_out),
         label=named(recording),
         subject=str(values["subject"]),
         condition=str(values["condition"]),

@@ -13,6 +13,7 @@ import xarray as xr
 from armperturb.analysis.cuts import require_two_axes
 from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.emg.envelope import Envelopes
+from armperturb.analysis.manipulator import copies_left_out
 from armperturb.analysis.measures.start_geometry import held_force
 from armperturb.analysis.nonlinear.choice import Choice, compare_laws
 from armperturb.analysis.nonlinear.estimate import (
@@ -212,7 +213,11 @@ def identify_nonlinear(
     else:
         model = Model(law=law, free=freed, parts=parts)
         estimate = fit(fitted, arms, model, emg=used, checkpoint=folder and folder / "checkpoint.json.gz", **options)
-    remarks = [*_of_trials(sets, fitted, arms, freed), *([PULSES_ALONE] if are_alone else [])]
+    remarks = [
+        *copies_left_out(sets.values()),
+        *_of_trials(sets, fitted, arms, freed),
+        *([PULSES_ALONE] if are_alone else []),
+    ]
     if emg and not used:
         remarks.append(
             "EMG is not used: the relaxed arm has no reflexes, of which it tells; the movement alone is used"

@@ -46,7 +46,7 @@ def _whole(trials: ConditionTrials) -> ConditionTrials:
             f"or noise, or a pulse in every trial ({OTHERS})"
         )
     recording = whole.recording.assign_coords(pulse_direction=("trial", np.full(whole.n_trials, np.nan)))
-    return ConditionTrials.prepare(recording, is_checked=True)
+    return replace(ConditionTrials.prepare(recording, is_checked=True), copies=whole.copies)
 
 
 def training_sets(

@@ -39,6 +39,7 @@ from scipy import interpolate, stats
 
 from armperturb.analysis.cuts import require_two_axes
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, SETTLED
+from armperturb.analysis.manipulator import copies_left_out
 from armperturb.analysis.response.closed_loop import HIGHEST_ORDER, periodic_trials
 from armperturb.analysis.response.frequency_response import FrequencyResponse
 from armperturb.analysis.response.local_polynomial import (
@@ -133,6 +134,7 @@ class BestLinear(Result):
                     for k, f in enumerate(self.response.frequency)
                 ),
             ),
+            remarks=self.response.remarks,
         )
 
     def to_frame(self) -> "pd.DataFrame":
@@ -274,7 +276,10 @@ def best_linear(
     weight = speed * precision
     return BestLinear(
         response=replace(
-            response, label=named([part.recording for part in several]), labels=labels_of(several[0].recording)
+            response,
+            label=named([part.recording for part in several]),
+            labels=labels_of(several[0].recording),
+            remarks=copies_left_out(several),
         ),
         linear=np.array(linear),
         noise=np.array(noise),

@@ -174,7 +174,7 @@ def fit_near(windows: Sequence[Window], centre: float, orders: Sequence[int], ow
     best = fit(order=orders[0])
     for lower, order in pairwise(orders):
         extra = windows[0].perturbation.shape[1] * (order - lower)
-        if best.dof - extra < 2 * LEAST_DOF:
+        if round(best.dof - extra, 6) < 2 * LEAST_DOF:  # a whole number, summed in the order of the trials
             break
         try:
             better = fit(order=order)

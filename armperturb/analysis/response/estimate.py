@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START
-from armperturb.analysis.manipulator import impossible
+from armperturb.analysis.manipulator import remarks_on_trials
 from armperturb.analysis.pulses_alone import used_whole
 from armperturb.analysis.response.arx import fit_arx
 from armperturb.analysis.response.closed_loop import estimate_multisine, estimate_noise
@@ -197,7 +197,7 @@ def response(
     return replace(
         METHODS[method](several, frequency=frequency, **options),
         label=f"{named([trials.recording for trials in several])}, {method}",
-        remarks=impossible(several),
+        remarks=remarks_on_trials(several),
         labels=labels_of(several[0].recording),
     )
 

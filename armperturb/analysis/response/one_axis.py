@@ -22,6 +22,7 @@ from scipy import stats
 
 from armperturb.analysis.cuts import inside_limit
 from armperturb.analysis.joint_balance import impossible_joint
+from armperturb.analysis.manipulator import copies_left_out
 from armperturb.analysis.response.closed_loop import (
     HIGH_ORDERS,
     LEAKAGE_ORDER,
@@ -242,7 +243,11 @@ def one_axis_response(
         distortion=distortion,
         distortion_limit=limit,
         p_linear=p_linear,
-        remarks=(*dict.fromkeys(wrong for each in inside for wrong in impossible_joint(each)), *left_out),
+        remarks=(
+            *copies_left_out(several),
+            *dict.fromkeys(wrong for each in inside for wrong in impossible_joint(each)),
+            *left_out,
+        ),
     )
 
 

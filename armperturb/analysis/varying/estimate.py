@@ -38,6 +38,7 @@ from armperturb.analysis.varying.likelihood import STRETCH, VaryingLikelihood
 from armperturb.analysis.varying.model import DEGREE, VaryingModel, finer
 from armperturb.analysis.varying.result import Curve, VaryingEstimate
 from armperturb.arrays import Array, Indices
+from armperturb.copied_trials import without_copies
 from armperturb.recording import check_recording, labels_of, named
 from armperturb.validation import require_number, require_one_of
 
@@ -148,7 +149,8 @@ def identify_varying(
     require_one_of("identify_varying", "variable", variable, tuple(CANDIDATES))
     require_one_of("identify_varying", "reflex", reflex, (None, *REFLEXES))
     one_condition([recording])
-    (recording,), left_out = inside_limit([recording])
+    each_once = without_copies(recording)
+    (recording,), left_out = inside_limit([each_once.recording])
     last = float(recording["time"].values[-1])
     require_number("identify_varying", "fit_until", fit_until, above=0.0, at_most=last, optional=True)
     ensemble, rate = variable == "time", float(recording.attrs["rate"])
@@ -211,7 +213,7 @@ def identify_varying(
         held_out_vaf=None if fit_until is None else explained(torque[:, held], predicted[:, held]),
         n_trials=len(torque),
         n_groups=len(solution.influence),
-        remarks=(*impossible_joint(recording), *left_out, *_remarks(model, vaf)),
+        remarks=(*each_once.remarks, *impossible_joint(recording), *left_out, *_remarks(model, vaf)),
     )
 
 

@@ -39,6 +39,7 @@ from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Sampled
 from armperturb.plots.style import COLOURS, GREY, INK, PALE, figure_for, in_style
 from armperturb.recording import labels_of, named
+from armperturb.seeds import trial_seed
 from armperturb.subject import POSITION, RELAX, TASKS, Subject
 from armperturb.validation import require_one_of, require_type, require_whole
 
@@ -229,13 +230,14 @@ def _under_the_same_forces(
     """Recordings of each person, a trial for each recorded force."""
     instruments = None if ideal else Instruments(emg=None, marker_noise=None)
     forces = [record.perturbation for record in records_of(recorded, 0.0)]
+    forces.sort(key=lambda force: force.tobytes())  # so that the order of the trials has no say in people's noise
     of_force = []
     for number, force in enumerate(forces):
         trials = [
             Trial(
                 subject=person,
                 perturbation=Sampled(force=force, rate=recorded[0].rate),
-                seed=seed + len(forces) * place + number,
+                seed=trial_seed(seed, "compare", place, number),
                 noise=None if ideal else HUMAN_NOISE[person.task],
             )
             for place, person in enumerate(people)

@@ -38,6 +38,7 @@ from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.measures import kinematics
 from armperturb.analysis.measures.pulse import peak_norm, pulse_span
 from armperturb.arrays import Array
+from armperturb.copied_trials import without_copies
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.recording import REQUIRED_SIGNALS, check_recording
 from armperturb.study.published import tables as published
@@ -148,7 +149,10 @@ def measure(
     people = list(dict.fromkeys(recording["subject"].values.tolist()))
     if len(people) > 1:
         raise ValueError(f"recordings of {', '.join(map(str, people))}; expected those of one person")
+    each_once = without_copies(recording)
+    recording = each_once.recording
     inside, left_out = _cut_at_limits(recording[list(REQUIRED_SIGNALS)])
+    left_out[:0] = each_once.remarks
     rotation = kinematics.true_rotations(recording) if simulated_joints else kinematics.joint_rotations(inside)
     rate = float(inside.attrs["rate"])
     path = _Path(inside, rate, rotation, kinematics.joint_velocities(rotation, rate))

@@ -206,6 +206,22 @@ def low_passed(emg, cutoff):
     return emg.copy(data=signal.sosfiltfilt(sos, emg.values, axis=1).astype(np.float32))
 
 
+@pytest.mark.parametrize("level", [0.0, 0.01])
+@pytest.mark.parametrize(("order", "cutoff"), [(4, 450.0), (8, 500.0), (2, 600.0)])
+def test_the_low_pass_of_an_amplifier_makes_no_noise_of_a_relaxed_muscle_activity(order, cutoff, level):
+    volts = np.array([1.0, *[level] * 4])[:, None, None] * noise((5, 2, N))
+    volts += 5e-3 * np.random.default_rng(0).standard_normal(volts.shape)
+    sos = signal.butter(order, cutoff, fs=EMG_RATE, output="sos")
+    result = envelopes(recorded(signal.sosfilt(sos, volts), ["MVC", *["RT7.5"] * 4])).to_frame()
+    relaxed = result[result["condition"] == "RT7.5"]["amplitude"]
+    np.testing.assert_allclose(relaxed, level, rtol=0.15, atol=2e-3)
+
+
+def test_the_band_of_unfiltered_channels_ends_with_the_rate(modulated):
+    spectra = whitening.Spectra.of(modulated["emg"].values, EMG_RATE, 20.0, ())
+    assert [whitening.passed_band(spectra, low, 900.0) for low in (20.0, 80.0, 460.0)] == [900.0] * 3
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

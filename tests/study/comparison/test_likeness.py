@@ -7,7 +7,8 @@ import pytest
 from matplotlib.figure import Figure
 
 import armperturb as ap
-from armperturb.study.comparison.likeness import impedance_matrices
+from armperturb.analysis.trials import prepared_condition
+from armperturb.study.comparison.likeness import _under_the_same_forces, impedance_matrices
 
 
 def linear_trial(subject):
@@ -69,6 +70,22 @@ def test_noise_pulses_and_few_trials_make_nobody_inhuman(task):
     recording = ap.run_experiment(trials, engine="compiled", instruments=ap.Instruments(emg=None))
     likeness = ap.compare(recording, "people", seed=5)
     assert all(likeness.is_human(group) for group in likeness.distance), likeness.distance
+
+
+@pytest.mark.slow(reason="simulates trials")
+def test_people_have_the_same_noise_in_whatever_order_trials_come():
+    multisines = [ap.Multisine.draw(rms=3.0, seed=seed, crested=False) for seed in (0, 1)]
+    trials = ap.run_experiment(
+        [ap.Trial(subject=ap.RELAX, perturbation=each) for each in multisines], engine="compiled"
+    )
+    people, options = [ap.RELAX] * 2, {"linear": True, "ideal": False}
+    before, after = (
+        _under_the_same_forces(people, prepared_condition(each), 7, **options)
+        for each in (trials, [trials.isel(trial=[1]), trials.isel(trial=[0])])
+    )
+    forces = [[part["force"].values for part in person] for person in before]
+    np.testing.assert_array_equal([[part["force"].values for part in person] for person in after], forces)
+    assert not np.array_equal(*forces)  # of two people, the noise differs
 
 
 def test_an_unknown_reference_is_refused():
