@@ -40,6 +40,9 @@ COPIED = 1e-4
 """RMS by which the signals of copies differ at most, over their own [-]: by rounding. No two trials of a person, and of
 hardly any instrument, agree so well."""
 
+COMPARED_EMG = 1000
+"""Samples at the beginning of a trial that tell its EMG from any other: noise never repeats."""
+
 _POSTURE = ("l_h", "l_f", "theta_s_deg", "theta_e_deg")
 
 
@@ -82,7 +85,7 @@ def other_units(trials: Iterable[RawTrial], meaning: Sidecar) -> list[str]:
 
 
 def check_different(recordings: Sequence[xr.Dataset], names: Sequence[str], files: Sequence[str]) -> tuple[str, ...]:
-    """Refuse trials that are in two files: copies would count as independent.
+    """Refuse trials that are in two files: copies would count as independent. And different trials with the same EMG.
 
     Args:
       recordings: to compare; their trials follow one another in `names` and `files`.
@@ -93,14 +96,26 @@ def check_different(recordings: Sequence[xr.Dataset], names: Sequence[str], file
       A note for each trial that equals another of its file, as those of an ideal person may.
 
     Raises:
-      ValueError: a trial is in two files.
+      ValueError: a trial is in two files, or has the EMG of another.
     """
     notes = []
     trials = [recording.isel(trial=trial) for recording in recordings for trial in range(recording.sizes["trial"])]
-    for place, before in sorted(_copies(trials).items()):
+    copies = _copies(trials)
+    for place, before in sorted(copies.items()):
         if files[before] != files[place]:
             raise ValueError(f"{names[place]} has the signals of {names[before]}; expected each trial in one file only")
         notes.append(f"{names[place]} has the signals of {names[before]}: they do not count as independent trials")
+    first: dict[bytes, int] = {}
+    for place, trial in enumerate(trials):
+        if "emg" not in trial.data_vars or place in copies:
+            continue
+        beginning = trial["emg"].values[:COMPARED_EMG]
+        before = first.setdefault(beginning.tobytes(), place)
+        if before != place and np.ptp(beginning, axis=0).any():
+            raise ValueError(
+                f"{names[place]} has the EMG of {names[before]}; expected EMG that was recorded with it (in signals.emg."
+                "file of a sidecar, * stands for the name of each file without its ending)"
+            )
     return tuple(notes)
 
 

@@ -67,7 +67,7 @@ def _c3d_trial(path: Path, names: Sequence[str]) -> RawTrial:
 
 def _with_emg(path: Path, trials: Sequence[RawTrial], meaning: Sidecar, emg: Signal, name: str) -> Sequence[RawTrial]:
     """The trials of a text file, with the EMG that another text file holds."""
-    beside = meaning.path.with_name(name)
+    beside = (path if "*" in name else meaning.path).with_name(name.replace("*", path.stem))
     if not beside.is_file():
         raise FileNotFoundError(f"{beside}: no such file, or a folder; expected signals.emg.file of {meaning.path}")
     names = [*emg.channels.values(), *([] if meaning.trial is None else [meaning.trial])]
