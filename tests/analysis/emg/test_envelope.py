@@ -40,7 +40,7 @@ def test_variance_of_an_amplitude_is_at_the_bound_for_the_bandwidth(modulated):
     variance, error, result = scatter(modulated)
     bound = 1.0 / (4.0 * (0.45 * EMG_RATE - 20.0) * 0.1)
     assert 0.85 < variance / bound < 1.15
-    assert result.relative_variance(0.1).mean() == pytest.approx(variance, rel=0.15)
+    assert result.relative_variance(0.1)[:10].mean() == pytest.approx(variance, rel=0.15)
     assert error < 5.0 * np.sqrt(bound / 10)
 
 
@@ -70,7 +70,7 @@ def test_a_long_trial_is_filtered_in_parts_to_the_same_amplitudes(monkeypatch):
         a, b = (np.convolve(each.power[0, 200:-200, column], smooth, "valid") for each in (parts, whole))
         assert np.abs(a / b - 1.0).max() < 0.05
     # Of the channel that hums, the number depends on how far the hum leaks beside its notch.
-    assert parts.samples_per_second[1] == pytest.approx(whole.samples_per_second[1], rel=0.02)
+    assert parts.samples_per_second[0, 1] == pytest.approx(whole.samples_per_second[0, 1], rel=0.02)
 
 
 @pytest.mark.parametrize("least", [0.1, 0.15, 0.2])
