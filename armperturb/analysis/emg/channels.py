@@ -26,15 +26,15 @@ MOST_SPIKES = 5
 MOVED = 10.0
 """Power below the band over that in it from which on a trial has a movement artefact [-]."""
 
-HUM_WIDTH, HUM = 4.0, 15.0
-"""Half width of the neighbourhood of a mains line [Hz], and the line's power over the mean there that is hum [-]: a
-periodogram of noise exceeds that once in 3 million frequencies."""
+HUM_WIDTH, HUM = 4.0, 3e-7
+"""Half width of the neighbourhood of a mains line [Hz], and the chance with which the periodogram of noise has as much
+power at a frequency, relative to the mean there, as counts as hum [-]."""
 
 MAINS_DRIFT = 0.2
 """By how much the mains frequency may be off; a multiple, by as many times that [Hz]."""
 
-MOST_HARMONICS = 9
-"""Multiples of the mains frequency that are looked at."""
+FOLLOWED = MAINS_DRIFT / 9.0
+"""The same once a multiple is known: time alone limits how well it is, and the mains may drift within a recording."""
 
 NOTCH = 0.75
 """Half width of the notch at a line of hum [Hz]."""
@@ -180,17 +180,20 @@ def hum_lines(power: NDArray[Any], frequency: Array, mains: Sequence[float]) -> 
       frequency: evenly spaced [Hz], (frequency,).
       mains: frequencies of the mains that are looked for, with their multiples [Hz].
     """
-    lines = []
+    lines, step = [], frequency[1] - frequency[0]
     for fundamental in mains:
         unit, drift = fundamental, MAINS_DRIFT
-        for number in range(1, MOST_HARMONICS + 1):
+        for number in range(1, int((frequency[-1] - HUM_WIDTH) / fundamental) + 1):
             line, most = number * unit, min(number * drift, HUM_WIDTH / 2.0)
             first, last = np.searchsorted(frequency, [line - HUM_WIDTH, line + HUM_WIDTH])
             here, there = frequency[first:last], power[first:last]
             near = np.abs(here - line) <= most
-            if near.any() and not near.all() and there[near].max() > HUM * there[~near].mean():
+            beside = there[~near]
+            if not near.any() or not len(beside):
+                continue
+            if there[near].max() > len(beside) * (HUM ** (-1.0 / len(beside)) - 1.0) * beside.mean():
                 lines.append(float(here[near][np.argmax(there[near])]))
-                unit, drift = lines[-1] / number, MAINS_DRIFT / MOST_HARMONICS  # of which the others are multiples
+                unit, drift = lines[-1] / number, max(FOLLOWED, step / number)  # of which the others are multiples
     return sorted({*lines})
 
 

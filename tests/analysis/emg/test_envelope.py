@@ -243,11 +243,25 @@ def test_a_result_describes_itself_and_becomes_tables(modulated):
 
 @pytest.mark.parametrize("mains", [49.85, 50.0, 50.12, 59.9])
 def test_multiples_of_a_mains_frequency_that_is_off_are_found(mains):
-    frequency = np.arange(0.0, 600.0, 0.05)
+    frequency = np.arange(0.0, 1000.0, 0.05)
     power = np.ones(len(frequency))
-    multiples = mains * np.array([1, 3, 5, 9])
+    multiples = mains * np.array([1, 3, 5, 9, 11, 15])
     power[np.searchsorted(frequency, multiples)] = 1000.0
     np.testing.assert_allclose(hum_lines(power, frequency, (50.0, 60.0)), multiples, atol=0.05)
+
+
+def test_all_multiples_of_hum_are_cut_out_of_a_short_trial_and_nothing_of_noise():
+    n = 10_000
+    odd = np.arange(1, 20, 2)[:, None]
+    hum = 0.3 * np.sin(2 * np.pi * 50.13 * odd * np.arange(n) / EMG_RATE + odd).sum(axis=0)
+    volts = noise((1, 40, n)).swapaxes(1, 2).astype(np.float32)
+    volts[..., 20:] += hum[:, None]
+    lines = whitening.Spectra.of(volts, EMG_RATE, 20.0, (50.0, 60.0)).hum
+    assert min(lines) >= 20
+    for column in range(20, 40):
+        multiples = np.array(lines[column]) / 50.13
+        np.testing.assert_allclose(multiples, np.round(multiples), atol=0.01)
+        assert len(multiples) >= 9
 
 
 def test_what_comes_after_the_workspace_limit_does_not_count():
