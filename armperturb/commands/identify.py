@@ -302,17 +302,19 @@ class Identify(Command):
             lines.append(f"{condition}: {result.fit.message}; VAF x {result.vaf[0]:.1f} %, y {result.vaf[1]:.1f} %")
             lines += [f"{condition}: {remark}" for remark in result.fit.remarks]
             lines += [f"{condition}: {name} cannot be simulated: {refusal}"] if refusal else []
-        write_page(results, trials, self.out / "identify.html", self._origin(notes), emg.envelopes if emg else None)
+        write_page(results, trials, self.out / "identify.html", self._origin(notes, emg), emg.envelopes if emg else None)
         return lines
 
-    def _origin(self, notes: list[str]) -> "Origin":
+    def _origin(self, notes: list[str], emg: "UseOfEmg | None" = None) -> "Origin":
         """What the page says of where its results come from."""
         from armperturb.analysis.page.page import Origin
+        from armperturb.commands.selection import with_emg_files
         from armperturb.files import checksum
 
+        files = with_emg_files(self.recordings, self.sidecar) if emg else self.recordings
         return Origin(
             command=command_line(self),
-            files={str(path): checksum(path) for path in self.recordings},
+            files={str(path): checksum(path) for path in files},
             notes=tuple(notes),
             window_start=self.window_start,
             period=self.period,
@@ -389,5 +391,5 @@ class Identify(Command):
             save_plot(result, self.out / "pulses.svg")
         write_nonlinear(result, self.out)
         trials = parts_by_condition(recordings)
-        write_nonlinear_page(result, trials, self.out / "identify.html", self._origin(notes))
+        write_nonlinear_page(result, trials, self.out / "identify.html", self._origin(notes, emg))
         return result.summary().splitlines()

@@ -11,7 +11,7 @@ from test_cli import refused, run
 
 from armperturb.analysis.emg.envelope import remark_on_duration
 from armperturb.commands.identify import Identify
-from armperturb.commands.selection import select_trials
+from armperturb.commands.selection import select_trials, with_emg_files
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
@@ -91,6 +91,8 @@ def test_text_tells_what_the_recording_does(trial, tmp_path):
     for name in ("person.nc", "person.csv"):
         assert run("identify", tmp_path / name, *MODEL, "--emg", "--out", tmp_path / f"of {name}") == 0
     ours, theirs = (table(tmp_path / f"of person{ending}")["value"] for ending in (".nc", ".csv"))
+    assert with_emg_files([tmp_path / "person.csv"], None) == [tmp_path / f"person{end}.csv" for end in ("", "_emg")]
+    assert with_emg_files([tmp_path / "person.nc"], None) == [tmp_path / "person.nc"]
     np.testing.assert_allclose(theirs, ours, rtol=1e-3)
 
 

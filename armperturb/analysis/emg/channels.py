@@ -126,7 +126,7 @@ def faults_of_channel(
             return faults
     at_limit = still[(volts[still] == top) | (volts[still] == bottom)]
     in_a_row = np.flatnonzero(np.diff(at_limit) == 1)
-    if len(in_a_row):
+    if len(in_a_row) and (_is_clipped(volts) or _is_clipped(-volts)):
         add("clipped", at_limit[in_a_row[0]], at_limit[in_a_row[-1]] + 2)
     n_windows = len(white) // SPIKE_WINDOW
     windows = white[: n_windows * SPIKE_WINDOW].reshape(n_windows, SPIKE_WINDOW)
@@ -142,6 +142,15 @@ def faults_of_channel(
         at = int(np.argmax(np.abs(volts - volts.mean())))
         add("movement artefact", max(at - rate / 2, 0), min(at + rate / 2, len(volts)))
     return faults
+
+
+def _is_clipped(volts: NDArray[np.float32]) -> bool:
+    """Whether the largest value is more frequent than the next: of a coarse converter it is less so."""
+    is_less = volts < volts.max()
+    if not is_less.any():
+        return False
+    next_to_it = volts[is_less].max()
+    return bool(np.count_nonzero(~is_less) > np.count_nonzero(volts == next_to_it))
 
 
 def require_raw(volts: NDArray[np.float32], below: Array, names: Sequence[str]) -> None:

@@ -169,6 +169,12 @@ def test_what_is_wrong_with_a_channel_is_named_with_its_time(spoil, message):
     assert remarks[0].startswith(message)
 
 
+def test_what_a_coarse_converter_makes_of_rest_is_not_clipped():
+    levels = np.round(np.array([0.8, 2.0])[:, None, None] * noise((2, 2, N)))
+    levels[1] = np.clip(levels[1], -2.0, 2.0)
+    assert [(fault.kind, fault.trial) for fault in envelopes(recorded(levels)).faults] == [("clipped", 1)] * 2
+
+
 def test_hum_changes_no_amplitude():
     hum = np.sin(2 * np.pi * 50.0 * TIME)
     volts = 0.3 * noise((3, 2, N))
