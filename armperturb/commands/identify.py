@@ -302,7 +302,9 @@ class Identify(Command):
             lines.append(f"{condition}: {result.fit.message}; VAF x {result.vaf[0]:.1f} %, y {result.vaf[1]:.1f} %")
             lines += [f"{condition}: {remark}" for remark in result.fit.remarks]
             lines += [f"{condition}: {name} cannot be simulated: {refusal}"] if refusal else []
-        write_page(results, trials, self.out / "identify.html", self._origin(notes, emg), emg.envelopes if emg else None)
+        write_page(
+            results, trials, self.out / "identify.html", self._origin(notes, emg), emg.envelopes if emg else None
+        )
         return lines
 
     def _origin(self, notes: list[str], emg: "UseOfEmg | None" = None) -> "Origin":

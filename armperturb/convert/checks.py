@@ -113,8 +113,8 @@ def check_different(recordings: Sequence[xr.Dataset], names: Sequence[str], file
         before = first.setdefault(beginning.tobytes(), place)
         if before != place and np.ptp(beginning, axis=0).any():
             raise ValueError(
-                f"{names[place]} has the EMG of {names[before]}; expected EMG that was recorded with it (in signals.emg."
-                "file of a sidecar, * stands for the name of each file without its ending)"
+                f"{names[place]} has the EMG of {names[before]}; expected EMG that was recorded with it (in signals."
+                "emg.file of a sidecar, * stands for the name of each file without its ending)"
             )
     return tuple(notes)
 

@@ -1,4 +1,4 @@
-"""Guesses for the sidecar of EMG: which columns hold it, their muscles, unit and rate; and which columns are not used."""
+"""Guesses for the sidecar of EMG: which columns hold it, their muscles, unit and rate; and what is not used."""
 
 import json
 import re

@@ -121,7 +121,9 @@ def test_one_file_per_trial_with_one_sidecar(tmp_path):
             import_recording(paths, sidecar=tmp_path / "all.json")
     emg[0, 2000:2420] = np.nan
     np.savetxt(tmp_path / "trial1_emg.csv", emg[0], header="b", comments="")
-    with pytest.raises(ValueError, match=r"leaves it out; signals.emg.channels without this channel, or no signals.emg"):
+    with pytest.raises(
+        ValueError, match=r"leaves it out; signals.emg.channels without this channel, or no signals.emg"
+    ):
         import_recording(paths[:1], sidecar=tmp_path / "all.json", repair="stretch")
 
 

@@ -333,7 +333,7 @@ def envelopes(
     volts, actions = recording["emg"].values, muscle_actions(recording)
     names, conditions = list(actions), recording["condition"].values.astype(str)
     spectra = Spectra.of(volts, rate, low, mains)
-    require_raw(volts, spectra.below, names)
+    require_raw(volts, rate, names)
     noise = noise_spectra(spectra, (low, high), conditions == rest)
     knows_noise, noise = np.isfinite(noise).all(axis=-1), np.nan_to_num(noise)
     filtered = whitening(
