@@ -324,18 +324,21 @@ class Identify(Command):
 
     def _emg(self, notes: list[str]) -> "UseOfEmg | None":
         """EMG of all conditions of the person; None, and a note, where it is missing or cannot be used."""
-        from armperturb.analysis.emg.envelope import envelopes, remark_on_duration, require_emg
+        from armperturb.analysis.emg.envelope import MAXIMAL, REST, envelopes, remark_on_duration, require_emg
         from armperturb.analysis.emg.outputs import require_known_muscles
         from armperturb.analysis.fit.emg_likelihood import ElectromechanicalDelay
         from armperturb.analysis.fit.use_emg import UseOfEmg
         from armperturb.commands.selection import select_trials
-        from armperturb.joined_recordings import join_recordings
+        from armperturb.joined_recordings import join_recordings, of_one_length
 
         delay = ElectromechanicalDelay(mean=self.emg_delay[0], sd=self.emg_delay[1])
         try:
             recordings, _ = select_trials(
                 self.recordings, self.sidecar, self.subject, None, single_condition=False, optional=("emg",)
             )
+            for recording in recordings:
+                require_emg(recording)
+            recordings = of_one_length(recordings, (MAXIMAL, REST))
             joined = recordings[0]
             if len(recordings) > 1:
                 joined, lost = join_recordings(recordings, optional=("emg",))
@@ -344,7 +347,6 @@ class Identify(Command):
                         f"EMG is not used: the files differ in it ({lost['emg']}); expected the same muscles, rate and "
                         "filters in all files"
                     )
-            require_emg(joined)
             del recordings
             result = envelopes(joined[["perturbation", "emg"]].drop_vars("emg_time"))
             require_known_muscles(result)
