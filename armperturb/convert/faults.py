@@ -388,7 +388,7 @@ def lasting(trials: Sequence[Timed], repair: Collection[Repair], notes: list[str
         if "trials" not in repair:
             raise ValueError(
                 f"{trial.where}: {text}; expected trials of about one length (convert --repair trials leaves it out; "
-                "trials that are meant to be shorter, as MVC, go into a recording of their own, and both into identify --emg)"
+                "trials that are meant to be shorter, as MVC, go into a recording of their own, beside the others)"
             )
         notes.append(f"{trial.where} is left out: {text}")
     return left

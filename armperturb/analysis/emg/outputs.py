@@ -71,8 +71,8 @@ def dead_muscles(trials: ConditionTrials, envelopes: Envelopes) -> list[str]:
       ValueError: the envelopes hold other trials of the condition.
     """
     power = envelopes.power[rows_of(trials, envelopes), : RecordWindow.of(trials).end]
-    is_known = np.isfinite(power).all(axis=(0, 1))
-    return [name for name, known in zip(envelopes.muscles, is_known, strict=True) if not known]
+    names = list(envelopes.muscles)
+    return [names[column] for column in np.flatnonzero(~np.isfinite(power).all(axis=(0, 1)))]
 
 
 def reflex_outputs(trials: ConditionTrials, envelopes: Envelopes) -> ReflexOutputs:
