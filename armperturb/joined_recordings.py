@@ -1,8 +1,9 @@
 """The trials of several recordings in one."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import NamedTuple
 
+import numpy as np
 import xarray as xr
 
 from armperturb.recording import (
@@ -57,6 +58,36 @@ def join_recordings(
     names = [str(name) for recording in recordings for name in (*recording.variables, *recording.attrs)]
     left = {*joined.variables, *joined.attrs, *LABELS, "muscle", *sometimes[1:], *CLOCKS, *CLOCKS.values()}
     return Joined(joined, {name: unlike.get(name, "") for name in dict.fromkeys(names) if name not in left})
+
+
+def of_one_length(recordings: Sequence[xr.Dataset], conditions: Collection[str]) -> list[xr.Dataset]:
+    """Recordings of which those of some conditions alone last as long as the others.
+
+    They are cut into parts, the last of which goes on backward from its end, so that levels and spectra stay what they
+    are. Those in which other conditions are, too, or at another rate, stay as they are.
+
+    Args:
+      recordings: with EMG.
+      conditions: in which nothing but the level of the EMG counts.
+    """
+    others = [each for each in recordings if not {*each["condition"].values.tolist()} <= {*conditions}]
+    if not others:
+        return list(recordings)
+    clocks, parts = {clock: others[0][clock] for clock in ("time", "emg_time")}, []
+    for recording in recordings:
+        rates = [[float(each.attrs[CLOCKS[clock]]) for clock in clocks] for each in (recording, others[0])]
+        if any(recording is other for other in others) or rates[0] != rates[1]:
+            parts.append(recording)
+            continue
+        n_parts = max(-(-recording.sizes[clock] // values.size) for clock, values in clocks.items())
+        for number in range(n_parts):
+            index = {
+                clock: (np.arange(values.size) + number * values.size) % (2 * recording.sizes[clock])
+                for clock, values in clocks.items()
+            }
+            turned = {clock: np.minimum(at, 2 * recording.sizes[clock] - 1 - at) for clock, at in index.items()}
+            parts.append(recording.isel(turned).assign_coords(clocks))
+    return parts
 
 
 def _difference(recordings: Sequence[xr.Dataset], name: str) -> str:

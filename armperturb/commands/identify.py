@@ -303,17 +303,21 @@ class Identify(Command):
             lines.append(f"{condition}: {result.fit.message}; VAF x {result.vaf[0]:.1f} %, y {result.vaf[1]:.1f} %")
             lines += [f"{condition}: {remark}" for remark in result.fit.remarks]
             lines += [f"{condition}: {name} cannot be simulated: {refusal}"] if refusal else []
-        write_page(results, trials, self.out / "identify.html", self._origin(notes), emg.envelopes if emg else None)
+        write_page(
+            results, trials, self.out / "identify.html", self._origin(notes, emg), emg.envelopes if emg else None
+        )
         return lines
 
-    def _origin(self, notes: list[str]) -> "Origin":
+    def _origin(self, notes: list[str], emg: "UseOfEmg | None" = None) -> "Origin":
         """What the page says of where its results come from."""
         from armperturb.analysis.page.page import Origin
+        from armperturb.commands.selection import with_emg_files
         from armperturb.files import checksum
 
+        files = with_emg_files(self.recordings, self.sidecar) if emg else self.recordings
         return Origin(
             command=command_line(self),
-            files={str(path): checksum(path) for path in self.recordings},
+            files={str(path): checksum(path) for path in files},
             notes=tuple(notes),
             window_start=self.window_start,
             period=self.period,
@@ -321,18 +325,21 @@ class Identify(Command):
 
     def _emg(self, notes: list[str]) -> "UseOfEmg | None":
         """EMG of all conditions of the person; None, and a note, where it is missing or cannot be used."""
-        from armperturb.analysis.emg.envelope import envelopes, remark_on_duration, require_emg
+        from armperturb.analysis.emg.envelope import MAXIMAL, REST, envelopes, remark_on_duration, require_emg
         from armperturb.analysis.emg.outputs import require_known_muscles
         from armperturb.analysis.fit.emg_likelihood import ElectromechanicalDelay
         from armperturb.analysis.fit.use_emg import UseOfEmg
         from armperturb.commands.selection import select_trials
-        from armperturb.joined_recordings import join_recordings
+        from armperturb.joined_recordings import join_recordings, of_one_length
 
         delay = ElectromechanicalDelay(mean=self.emg_delay[0], sd=self.emg_delay[1])
         try:
             recordings, _ = select_trials(
                 self.recordings, self.sidecar, self.subject, None, single_condition=False, optional=("emg",)
             )
+            for recording in recordings:
+                require_emg(recording)
+            recordings = of_one_length(recordings, (MAXIMAL, REST))
             joined = recordings[0]
             if len(recordings) > 1:
                 joined, lost = join_recordings(recordings, optional=("emg",))
@@ -341,7 +348,6 @@ class Identify(Command):
                         f"EMG is not used: the files differ in it ({lost['emg']}); expected the same muscles, rate and "
                         "filters in all files"
                     )
-            require_emg(joined)
             del recordings
             result = envelopes(joined[["perturbation", "emg"]].drop_vars("emg_time"))
             require_known_muscles(result)
@@ -390,5 +396,5 @@ class Identify(Command):
             save_plot(result, self.out / "pulses.svg")
         write_nonlinear(result, self.out)
         trials = parts_by_condition(recordings)
-        write_nonlinear_page(result, trials, self.out / "identify.html", self._origin(notes))
+        write_nonlinear_page(result, trials, self.out / "identify.html", self._origin(notes, emg))
         return result.summary().splitlines()

@@ -9,6 +9,8 @@ import xarray as xr
 
 from armperturb.convert.checks import check_recordings
 from armperturb.convert.importer import import_recording, require_each_once
+from armperturb.convert.reading import TEXT, emg_file
+from armperturb.convert.sidecar import Sidecar
 from armperturb.copied_trials import without_copies
 from armperturb.environment import Environment
 
@@ -100,3 +102,19 @@ def select_trials(
         selected = [recording for recording in selected if recording.sizes["trial"]]
     check_recordings(selected, of_files)
     return selected, notes
+
+
+def with_emg_files(files: Sequence[Path], sidecar: Path | None) -> list[Path]:
+    """Files that were read, each followed by the text file of its EMG, if it has one.
+
+    Args:
+      files: that were read.
+      sidecar: of all files that need one; None for that beside each.
+    """
+    read: list[Path] = []
+    for path in files:
+        beside = None
+        if path.suffix.lower() in TEXT:
+            beside = emg_file(path, Sidecar.load(path.with_suffix(".json") if sidecar is None else sidecar))
+        read += [path] if beside is None else [path, beside]
+    return read

@@ -1,7 +1,7 @@
 """Refuses what no arm and manipulator do, as a wrong unit or start makes them do."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -36,6 +36,9 @@ REACH = 1.0
 
 AWAY = 0.01
 """Distance from its start at which no path stays throughout, unless it moves by more [m]; refuses places in a room."""
+
+COMPARED_EMG = 1000
+"""Samples at the beginning of a trial that tell its EMG from any other: noise never repeats."""
 
 _POSTURE = ("l_h", "l_f", "theta_s_deg", "theta_e_deg")
 
@@ -79,7 +82,7 @@ def other_units(trials: Iterable[RawTrial], meaning: Sidecar) -> list[str]:
 
 
 def check_different(recordings: Sequence[xr.Dataset], names: Sequence[str], files: Sequence[str]) -> tuple[str, ...]:
-    """Refuse trials that are in two files.
+    """Refuse trials that are in two files, and different trials with the same EMG.
 
     Args:
       recordings: to compare; their trials follow one another in `names` and `files`.
@@ -90,17 +93,34 @@ def check_different(recordings: Sequence[xr.Dataset], names: Sequence[str], file
       A note for each trial that repeats another of its file.
 
     Raises:
-      ValueError: a trial is in two files.
+      ValueError: a trial is in two files, or has the EMG of another.
     """
     copies, left_out = copies_of(recordings, alike=False), copies_of(recordings)
     for place, before in copies.items():
         if files[before] != files[place]:
             raise ValueError(f"{names[place]} has the signals of {names[before]}; expected each trial in one file only")
+    _require_own_emg(recordings, names, copies)
     others = {place: before for place, before in copies.items() if place not in left_out}
     return (
         *(f"{names[place]} repeats {names[before]}: analyses leave it out" for place, before in left_out.items()),
         *(f"{names[place]} repeats {names[before]}, which has other labels" for place, before in others.items()),
     )
+
+
+def _require_own_emg(recordings: Sequence[xr.Dataset], names: Sequence[str], copies: Collection[int]) -> None:
+    """Refuse trials that are no copies and have the EMG of another."""
+    trials = [recording.isel(trial=trial) for recording in recordings for trial in range(recording.sizes["trial"])]
+    first: dict[bytes, int] = {}
+    for place, trial in enumerate(trials):
+        if "emg" not in trial.data_vars or place in copies:
+            continue
+        beginning = trial["emg"].values[:COMPARED_EMG]
+        before = first.setdefault(beginning.tobytes(), place)
+        if before != place and np.ptp(beginning, axis=0).any():
+            raise ValueError(
+                f"{names[place]} has the EMG of {names[before]}; expected EMG that was recorded with it (in signals."
+                "emg.file of a sidecar, * stands for the name of each file without its ending)"
+            )
 
 
 def check_recordings(recordings: Sequence[xr.Dataset], files: Sequence[str]) -> tuple[str, ...]:

@@ -33,12 +33,17 @@ class Column(NamedTuple):
     unit: str = ""
     rate: float = 0.0
 
+    @property
+    def name(self) -> str:
+        """What it is named after, without a unit."""
+        match = _UNIT.search(self.label)
+        return self.label[: match.start()] if match else self.label
+
     def words(self) -> tuple[list[str], str]:
         """Words of the name in lower case, and the unit, which may stand in brackets or as the last word."""
         match = _UNIT.search(self.label)
-        words = WORD.findall(self.label[: match.start()] if match else self.label)
         unit = "" if match is None else match[1] or match[2] or ""
-        return [word.lower() for word in words], self.unit or unit
+        return [word.lower() for word in WORD.findall(self.name)], self.unit or unit
 
 
 def axis_of(words: Sequence[str]) -> tuple[tuple[str, ...], str | None]:
@@ -173,6 +178,11 @@ def _matlab_columns(name: str, value: Any) -> Iterator[Column]:
     dims = ["time" if axis == time else "trial" for axis in range(value.ndim)]
     last = value.ndim - 1 if time != value.ndim - 1 else 0
     leaf = Column(name, name.rpartition(".")[2], value).words()[0]
+    if {*leaf} & {*TABLES["words"]["emg"]}:
+        for muscle in range(value.shape[last]):
+            index = [f"{muscle + 1}" if at == last else dim for at, dim in enumerate(dims)]
+            yield Column(f"{name}({','.join(index)})", f"{name} {muscle + 1}", value.take(muscle, last).ravel())
+        return
     if value.ndim == 2 and len("".join(leaf)) > 1 and axis_of(leaf)[1] is not None:
         yield Column(f"{name}({','.join(dims)})", name, value.ravel())
     elif value.shape[last] in (2, 3):

@@ -65,11 +65,13 @@ class Fault(NamedTuple):
       repair: what would repair it; "trials" if nothing else does.
       text: what is wrong, where and when.
       can: whether that repair can do it.
+      signal: that has the fault; empty of what concerns several.
     """
 
     repair: Repair
     text: str
     can: bool = True
+    signal: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -269,7 +271,7 @@ def find_gaps(timed: Timed) -> tuple[Timed, list[Fault]]:
                 length = (last - first) / rate
                 can = first > 0 and last < len(values) and length <= longest + 1e-9 and n_there >= 4
                 place = f"at {first / rate:.6g} s" if n_there else "everywhere"
-                faults.append(Fault("gaps", f"{channel} ({name}) has a gap of {length:.4g} s {place}", can))
+                faults.append(Fault("gaps", f"{channel} ({name}) has a gap of {length:.4g} s {place}", can, name))
             if n_there >= 4:
                 index = np.arange(len(values), dtype=float)
                 spline = interpolate.CubicSpline(index[there], values[there, column], extrapolate=False)
@@ -386,7 +388,7 @@ def lasting(trials: Sequence[Timed], repair: Collection[Repair], notes: list[str
         if "trials" not in repair:
             raise ValueError(
                 f"{trial.where}: {text}; expected trials of about one length (convert --repair trials leaves it out; "
-                "trials that are meant to be shorter go into a recording of their own)"
+                "trials that are meant to be shorter, as MVC, go into a recording of their own, beside the others)"
             )
         notes.append(f"{trial.where} is left out: {text}")
     return left

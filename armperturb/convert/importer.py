@@ -241,5 +241,7 @@ def _advice(fault: Fault) -> str:
     if fault.repair == "trials" or not fault.can:
         why = "" if fault.repair == "trials" else ", which cannot be repaired"
         instead = ", stretch keeps the longest part without gaps" if fault.repair == "gaps" else ""
+        if fault.signal == "emg":
+            instead = "; signals.emg.channels without this channel, or no signals.emg, keeps all else"
         return f"expected a trial without{why} (convert --repair trials leaves it out{instead})"
     return f"expected none (convert --repair {fault.repair} puts it right)"

@@ -45,7 +45,8 @@ def read_trials(path: Path, meaning: Sidecar) -> Sequence[RawTrial]:
     if emg is not None and emg.rate is not None and emg.file is None:
         raise ValueError(f"{meaning.path}: signals.emg.rate without signals.emg.file; expected both with text, or none")
     trials = read_text(path, sorted(names), meaning.trial, meaning.dialect)
-    return trials if emg is None or emg.file is None else _with_emg(path, trials, meaning, emg, emg.file)
+    beside = emg_file(path, meaning)
+    return trials if emg is None or beside is None else _with_emg(path, trials, meaning, emg, beside)
 
 
 def _c3d_trial(path: Path, names: Sequence[str]) -> RawTrial:
@@ -65,9 +66,18 @@ def _c3d_trial(path: Path, names: Sequence[str]) -> RawTrial:
     )
 
 
-def _with_emg(path: Path, trials: Sequence[RawTrial], meaning: Sidecar, emg: Signal, name: str) -> Sequence[RawTrial]:
+def emg_file(path: Path, meaning: Sidecar) -> Path | None:
+    """The second text file that holds the EMG of a file; None if none does."""
+    emg = meaning.signals.get("emg")
+    if emg is None or emg.file is None:
+        return None
+    return (path if "*" in emg.file else meaning.path).with_name(emg.file.replace("*", path.stem))
+
+
+def _with_emg(
+    path: Path, trials: Sequence[RawTrial], meaning: Sidecar, emg: Signal, beside: Path
+) -> Sequence[RawTrial]:
     """The trials of a text file, with the EMG that another text file holds."""
-    beside = meaning.path.with_name(name)
     if not beside.is_file():
         raise FileNotFoundError(f"{beside}: no such file, or a folder; expected signals.emg.file of {meaning.path}")
     names = [*emg.channels.values(), *([] if meaning.trial is None else [meaning.trial])]

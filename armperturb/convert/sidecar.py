@@ -78,7 +78,8 @@ class Signal:
       matrix: ours = (values - start) @ matrix, (component, component): units, axes and sign.
       start: handle's start in the file's unit and axes, (component,), or "first".
       rate: sampling rate of this signal, if it is not that of the others [Hz].
-      file: name of the text file beside the sidecar that holds it, if it is not that of the others.
+      file: name of the text file that holds it, if it is not that of the others: beside the sidecar or, with "*" for
+        the data file's name without its ending, beside that.
       lead: of EMG: by how much the other signals are later than it; negative where it is later [s].
       highpass: of EMG: that of its amplifier; None if nobody knows it.
       muscles: of EMG: what each muscle does.

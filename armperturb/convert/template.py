@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from armperturb.analysis.force_balance import Balance
 from armperturb.convert.checks import AWAY, LARGEST_FORCE
 from armperturb.convert.columns import WORD, Column, axis_of, columns_of, dialect_of
+from armperturb.convert.emg_template import add_emg, is_emg, unused
 from armperturb.convert.fields import MEANINGS
 from armperturb.convert.importer import import_trials
 from armperturb.convert.one_axis_template import is_one_axis, one_axis_fields, pairs_of_one_axis, settled_one_axis
@@ -94,9 +95,12 @@ def write_sidecar(file: str | Path, out: str | Path | None = None, *, rate: floa
         raise FileNotFoundError(f"{path}: no such file, or a folder; expected a recording")
     dialect = dialect_of(path) if path.suffix.lower() in TEXT else Dialect()
     columns = columns_of(path, dialect)
-    content, guessed, said = _guess(path, columns, dialect, rate)
+    others = [column for column in columns if not is_emg(column)]
+    content, guessed, said = _guess(path, others, dialect, rate)
     settle = settled_one_axis if "servo" in content else _settled
-    notes = settle(path, target, content, guessed, columns)
+    notes = settle(path, target, content, guessed, others)
+    add_emg([column for column in columns if is_emg(column)], others, content, guessed)
+    notes = [*unused(columns, content), *notes]
     content["guessed"] = guessed
     write_whole(target, json.dumps(content, indent=2, ensure_ascii=False) + "\n")
     marked = []

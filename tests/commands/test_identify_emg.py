@@ -9,12 +9,13 @@ import pandas as pd
 import pytest
 from test_cli import refused, run
 
-from armperturb.analysis.emg.envelope import remark_on_duration
+from armperturb.analysis.emg.envelope import envelopes, remark_on_duration
 from armperturb.commands.identify import Identify
-from armperturb.commands.selection import select_trials
+from armperturb.commands.selection import select_trials, with_emg_files
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
+from armperturb.joined_recordings import of_one_length
 from armperturb.recording_files import save_recording
 from armperturb.subject import POSITION
 
@@ -91,6 +92,8 @@ def test_text_tells_what_the_recording_does(trial, tmp_path):
     for name in ("person.nc", "person.csv"):
         assert run("identify", tmp_path / name, *MODEL, "--emg", "--out", tmp_path / f"of {name}") == 0
     ours, theirs = (table(tmp_path / f"of person{ending}")["value"] for ending in (".nc", ".csv"))
+    assert with_emg_files([tmp_path / "person.csv"], None) == [tmp_path / f"person{end}.csv" for end in ("", "_emg")]
+    assert with_emg_files([tmp_path / "person.nc"], None) == [tmp_path / "person.nc"]
     np.testing.assert_allclose(theirs, ours, rtol=1e-3)
 
 
@@ -140,6 +143,27 @@ def test_of_one_axis_the_movement_alone_is_used(tmp_path, capsys, model):
     assert run("identify", tmp_path / "ankle.nc", *model, "--reflex", "none", "--emg", "--out", tmp_path / "o") == 0
     assert "EMG is not used: the joint model" in capsys.readouterr().out
     assert "EMG is not used: the joint model" in (tmp_path / "o" / "identify.html").read_text()
+
+
+@pytest.mark.slow(reason="simulates three trials with EMG")
+def test_a_contraction_of_its_own_length_is_the_reference(recording, tmp_path):
+    held = recording.isel(trial=[0], time=slice(1000), emg_time=slice(10_000)).copy()
+    held["emg"] = held["emg"] * np.float32(3.0)
+    without_pulse = {"condition": "MVC", "pulse_level": 0.0, "pulse_direction": np.nan, "pulse_onset": np.nan}
+    held = held.assign_coords({name: ("trial", [value]) for name, value in without_pulse.items()})
+    movement = recording.isel(trial=[1], time=slice(5800), emg_time=slice(58_000))
+    for name, part in (("moved", movement), ("held", held)):
+        save_recording(part, tmp_path / f"{name}.nc")
+    files = tuple(tmp_path / f"{name}.nc" for name in ("moved", "held"))
+    notes = []
+    result = Identify(recordings=files, out=tmp_path / "o", emg=True)._emg(notes)
+    assert result is not None, notes
+    assert result.envelopes.is_normalised
+    expected = envelopes(held).reference_volts
+    np.testing.assert_allclose(result.envelopes.reference_volts, expected, rtol=0.05)
+    longer = of_one_length([held.assign_coords(condition=("trial", ["PT"])), movement], ("PT7.5",))
+    assert [part.sizes["time"] for part in longer] == [1000] * 7
+    np.testing.assert_array_equal(longer[-1]["emg"][:, 8_000:], movement["emg"][:, :-2001:-1])
 
 
 @pytest.mark.slow(reason="simulates three trials with EMG")

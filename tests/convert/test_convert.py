@@ -106,6 +106,25 @@ def test_one_file_per_trial_with_one_sidecar(tmp_path):
     assert_is_the_laboratory(found, n_trials=3)
     assert found["pulse_onset"].values.tolist() == [0.0, 1.0, 2.0]
     assert found["repetition"].values.tolist() == [0, 1, 2]
+    emg = np.random.default_rng(0).normal(size=(3, 12_000, 1))
+    for path, volts in zip(paths, emg, strict=True):
+        np.savetxt(path.with_name(f"{path.stem}_emg.csv"), volts, header="b", comments="", fmt="%.7g")
+    of_emg = {"channels": {"biceps_short_head": "b"}, "unit": "V", "rate": 2000, "file": "*_emg.csv"}
+    for file in ("*_emg.csv", "trial1_emg.csv"):
+        sidecar["signals"]["emg"] = of_emg | {"file": file}
+        (tmp_path / "all.json").write_text(json.dumps(sidecar))
+        if "*" in file:
+            found = import_recording(paths, sidecar=tmp_path / "all.json").recording
+            np.testing.assert_allclose(found["emg"].values, emg, rtol=1e-6)
+            continue
+        with pytest.raises(ValueError, match=r"trial2.csv has the EMG of .*trial1.csv; expected EMG that was recorded"):
+            import_recording(paths, sidecar=tmp_path / "all.json")
+    emg[0, 2000:2420] = np.nan
+    np.savetxt(tmp_path / "trial1_emg.csv", emg[0], header="b", comments="")
+    with pytest.raises(
+        ValueError, match=r"leaves it out; signals.emg.channels without this channel, or no signals.emg"
+    ):
+        import_recording(paths[:1], sidecar=tmp_path / "all.json", repair="stretch")
 
 
 def test_labels_of_trials_and_what_is_left_out(tmp_path):

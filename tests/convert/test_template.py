@@ -50,6 +50,32 @@ def assert_is_the_laboratory(recording):
 TIRING = pytest.mark.slow(reason="each reads a table three times")
 
 
+@pytest.mark.slow(reason="guesses sidecars and converts")
+def test_emg_is_proposed_and_what_is_not_used_is_named(tmp_path):
+    volts = 1e-4 * np.random.default_rng(0).standard_normal((len(table()), 2))
+    names = ["trial", "t", "Dx", "Dy", "Fx", "Fy", "X", "Y", "EMG BIC [mV]", "biceps_short_head", "temperature"]
+    values = np.hstack([as_laboratory(("s", "N", "m")), 1e3 * volts, np.full((len(volts), 1), 21.5)])
+    (tmp_path / "a.csv").write_text(as_text(values, names))
+    written = write_sidecar(tmp_path / "a.csv")
+    emg = json.loads(written.path.read_text())["signals"]["emg"]
+    assert emg == {
+        "channels": {"BIC": "EMG BIC [mV]", "biceps_short_head": "biceps_short_head"},
+        "unit": "mV",
+    }
+    assert "channels that are not used: temperature" in written.notes
+    assert any("in signals.emg.muscles belongs what these do: BIC" in note for note in written.notes)
+    recording, _ = import_recording(tmp_path / "a.csv")
+    np.testing.assert_allclose(recording["emg"].values.reshape(-1, 2), volts, rtol=1e-5)
+    truths = {name: np.moveaxis(truth(name), 0, 1) for name in REQUIRED_SIGNALS}
+    fast = 1e-4 * np.random.default_rng(0).standard_normal((6000, N_TRIALS, 5))
+    savemat(tmp_path / "b.mat", {"rate": RATE, "emg": fast} | truths)
+    written = write_sidecar(tmp_path / "b.mat")
+    emg = json.loads(written.path.read_text())["signals"]["emg"]
+    assert (emg["channels"]["5"], emg["unit"], emg["rate"]) == ("emg(time,trial,5)", "V", 1000.0)
+    found = import_recording(tmp_path / "b.mat").recording["emg"].values
+    np.testing.assert_allclose(found, fast.swapaxes(0, 1), rtol=1e-5)
+
+
 @pytest.mark.slow(reason="guesses a sidecar and converts")
 @pytest.mark.parametrize(
     ("header", "by_hand"),

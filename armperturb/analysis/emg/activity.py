@@ -154,9 +154,10 @@ def activity(envelopes: Envelopes, limit: float | None = None) -> Activity:
                 continue
             power = np.array([mean_known(envelopes.power[trial, a:b]) for trial, a, b in used])
             known = np.array([np.isfinite(envelopes.power[trial, a:b]).sum(axis=0) for trial, a, b in used])
-            seconds = known / rate
-            levels += _tested(envelopes, str(condition), part, power, seconds, limit)
-            is_there = power - envelopes.noise > ABOVE_NOISE * np.sqrt(_scatter(envelopes, power, seconds))
+            relative = 4.0 * envelopes.relative_variance(1.0)[[trial for trial, _, _ in used]]
+            scatter = power**2 * relative / np.maximum(known / rate, 1e-300)
+            levels += _tested(envelopes, str(condition), part, power, scatter, limit)
+            is_there = power - envelopes.noise > ABOVE_NOISE * np.sqrt(scatter)
             for joint, word in JOINTS.items():
                 groups = [
                     [
@@ -220,18 +221,22 @@ def _span(row: "pd.Series", part: str) -> tuple[int, int]:
     return (0, start) if part == "before" else (start, onset)
 
 
-def _scatter(envelopes: Envelopes, power: Array, seconds: Array) -> Array:
-    """Variance of mean powers that the finite time [s] gives, (trial, muscle) all."""
-    return np.asarray(power**2 * 4.0 * envelopes.relative_variance(1.0) / np.maximum(seconds, 1e-300))
-
-
 def _tested(
-    envelopes: Envelopes, condition: str, part: str, power: Array, seconds: Array, limit: float
+    envelopes: Envelopes, condition: str, part: str, power: Array, scatter: Array, limit: float
 ) -> list[tuple[Any, ...]]:
-    """Rows of `Activity.levels` of the mean power of trials that is known for some seconds, (trial, muscle) both."""
+    """Rows of `Activity.levels`.
+
+    Args:
+      envelopes: of the person.
+      condition: of the trials.
+      part: of the trials, one of `PARTS`.
+      power: its mean over that part, (trial, muscle).
+      scatter: variance of that which the finite time gives, (trial, muscle).
+      limit: as in `activity`.
+    """
     above = power - envelopes.noise
     n, mean = np.isfinite(above).sum(axis=0), mean_known(above)
-    variance = mean_known(_scatter(envelopes, power, seconds))
+    variance = mean_known(scatter)
     between = mean_known((above - mean) ** 2) * n / np.maximum(n - 1, 1)
     scatters = n >= FEWEST_TRIALS
     variance = np.where(scatters, np.maximum(variance, between), variance)

@@ -26,30 +26,31 @@ MOST_SPIKES = 5
 MOVED = 10.0
 """Power below the band over that in it from which on a trial has a movement artefact [-]."""
 
-HUM_WIDTH, HUM = 4.0, 15.0
-"""Half width of the neighbourhood of a mains line [Hz], and the line's power over the mean there that is hum [-]: a
-periodogram of noise exceeds that once in 3 million frequencies."""
+HUM_WIDTH, HUM = 4.0, 3e-7
+"""Half width of the neighbourhood of a mains line [Hz], and the chance with which the periodogram of noise has as much
+power at a frequency, relative to the mean there, as counts as hum [-]."""
 
 MAINS_DRIFT = 0.2
 """By how much the mains frequency may be off; a multiple, by as many times that [Hz]."""
 
-MOST_HARMONICS = 9
-"""Multiples of the mains frequency that are looked at."""
+FOLLOWED = MAINS_DRIFT / 9.0
+"""The same once a multiple is known: time alone limits how well it is, and the mains may drift within a recording."""
 
 NOTCH = 0.75
 """Half width of the notch at a line of hum [Hz]."""
 
-BELOW_ZERO = 0.01
-"""Share of a channel's samples below zero from which on it is no rectified EMG [-]: filters leave fewer."""
+LEVELS = (0.005, 0.1, 0.5, 0.9)
+"""Shares of a trial's samples whose limits tell its distribution."""
 
-SKEWED, SKEW = 0.999, 2.1
-"""Share of positive samples, and how far it reaches over their median from which on a channel without negative samples
-is rectified [-]: of EMG with an offset it is at most 2, as that is symmetric; of rectified noise it is 4.9."""
+SKEW, FLOOR = 1.4, 1.6
+"""How far the upper of these is from the median over how far that above the lowest is, and how far the lowest is over
+the same [-]: 1.8 and 1.2 of rectified noise, 1.0 and 2.0 of EMG and of any offset. Artefacts to one side have no floor,
+drifts no skew, so that EMG is rectified where both hold in every trial."""
 
-SLOW, UNSTEADY = 0.3, 1.1
-"""Power below the band over that in it, in every trial, and how far `SKEWED` of the samples reach over their median,
-from which on a channel without negative samples is an envelope [-]: of rectified EMG that is low-passed at 50 Hz these
-are 0.4 and 2.2, at 3 Hz 20 and 1.3. EMG with an offset is not slow, unless its electrodes drift about a larger one."""
+LAG, LONGER, SMOOTH = 2e-3, 10, 0.2
+"""A time [s], how many of them make another, and the mean square of the change in the one over that in the other below
+which a channel is an envelope [-]: at most 0.13 where a mean over time was taken, 0.5 or more of EMG, and 0.39 or more
+of hum."""
 
 CROSSTALK = 0.15
 """Correlation of two whitened channels from which on cross-talk is reported [-]: independent muscles have 0."""
@@ -126,7 +127,7 @@ def faults_of_channel(
             return faults
     at_limit = still[(volts[still] == top) | (volts[still] == bottom)]
     in_a_row = np.flatnonzero(np.diff(at_limit) == 1)
-    if len(in_a_row):
+    if len(in_a_row) and (_is_clipped(volts) or _is_clipped(-volts)):
         add("clipped", at_limit[in_a_row[0]], at_limit[in_a_row[-1]] + 2)
     n_windows = len(white) // SPIKE_WINDOW
     windows = white[: n_windows * SPIKE_WINDOW].reshape(n_windows, SPIKE_WINDOW)
@@ -144,32 +145,52 @@ def faults_of_channel(
     return faults
 
 
-def require_raw(volts: NDArray[np.float32], below: Array, names: Sequence[str]) -> None:
+def _is_clipped(volts: NDArray[np.float32]) -> bool:
+    """Whether the largest value is more frequent than the next: of a coarse converter it is less so."""
+    is_less = volts < volts.max()
+    if not is_less.any():
+        return False
+    next_to_it = volts[is_less].max()
+    return bool(np.count_nonzero(~is_less) > np.count_nonzero(volts == next_to_it))
+
+
+def require_raw(volts: NDArray[np.float32], rate: float, names: Sequence[str]) -> None:
     """Refuse channels that are rectified, or envelopes: they pass for noise that is white, or for movement artefacts.
 
     Args:
       volts: as recorded [V], (trial, time, muscle).
-      below: power below the band over that in it, (trial, muscle).
+      rate: of the samples [Hz].
       names: of the muscles.
 
     Raises:
       ValueError: there are such channels.
     """
-    wrong = []
-    for column, name in enumerate(names):
-        channel = volts[..., column]
-        is_symmetric = np.count_nonzero(channel < 0.0) > BELOW_ZERO * np.count_nonzero(channel)
-        if is_symmetric or not np.ptp(channel, axis=1).any():
-            continue
-        middle, high = np.quantile(channel[channel > 0.0], [0.5, SKEWED])
-        is_slow = below[below[:, column] > 0.0, column].min() > SLOW
-        if high > SKEW * middle or (is_slow and high > UNSTEADY * middle):
-            wrong.append(name)
+    wrong = [name for column, name in enumerate(names) if _is_processed(volts[..., column], rate)]
     if wrong:
         raise ValueError(
-            f"EMG is not used: that of {', '.join(wrong)} is nowhere below zero, as if rectified or an envelope; "
-            "expected voltages as amplified (signals.emg.channels of the sidecar)"
+            f"EMG is not used: that of {', '.join(wrong)} is rectified or an envelope, to judge by its distribution "
+            "and its smoothness; expected voltages as amplified (signals.emg.channels of the sidecar)"
         )
+
+
+def _is_processed(channel: NDArray[np.float32], rate: float) -> bool:
+    """Whether a channel, (trial, time), is rectified or an envelope."""
+    lag = max(round(LAG * rate), 1)
+    if channel.shape[1] <= LONGER * lag:
+        return False
+    lowest, low, middle, high = np.quantile(channel[:, :: 2 * lag], LEVELS, axis=1)
+    spread = middle - low
+    alive = spread > 0.0
+    if not alive.any():
+        return False
+    is_rectified = (high - middle > SKEW * spread) & (middle - lowest < FLOOR * spread)
+    short, long = (np.array([_change(of_trial, each) for of_trial in channel[alive]]) for each in (lag, LONGER * lag))
+    return bool(is_rectified[alive].all() or (short < SMOOTH * long).all())
+
+
+def _change(values: NDArray[np.float32], lag: int) -> float:
+    """Mean square of what a signal changes by in so many samples."""
+    return float(np.mean(np.square(values[lag:] - values[:-lag]), dtype=float))
 
 
 def hum_lines(power: NDArray[Any], frequency: Array, mains: Sequence[float]) -> list[float]:
@@ -180,17 +201,20 @@ def hum_lines(power: NDArray[Any], frequency: Array, mains: Sequence[float]) -> 
       frequency: evenly spaced [Hz], (frequency,).
       mains: frequencies of the mains that are looked for, with their multiples [Hz].
     """
-    lines = []
+    lines, step = [], frequency[1] - frequency[0]
     for fundamental in mains:
         unit, drift = fundamental, MAINS_DRIFT
-        for number in range(1, MOST_HARMONICS + 1):
+        for number in range(1, int((frequency[-1] - HUM_WIDTH) / fundamental) + 1):
             line, most = number * unit, min(number * drift, HUM_WIDTH / 2.0)
             first, last = np.searchsorted(frequency, [line - HUM_WIDTH, line + HUM_WIDTH])
             here, there = frequency[first:last], power[first:last]
             near = np.abs(here - line) <= most
-            if near.any() and not near.all() and there[near].max() > HUM * there[~near].mean():
+            beside = there[~near]
+            if not near.any() or not len(beside):
+                continue
+            if there[near].max() > len(beside) * (HUM ** (-1.0 / len(beside)) - 1.0) * beside.mean():
                 lines.append(float(here[near][np.argmax(there[near])]))
-                unit, drift = lines[-1] / number, MAINS_DRIFT / MOST_HARMONICS  # of which the others are multiples
+                unit, drift = lines[-1] / number, max(FOLLOWED, step / number)  # of which the others are multiples
     return sorted({*lines})
 
 

@@ -22,9 +22,9 @@ from scipy import special
 from armperturb.analysis.emg.envelope import Envelopes, mean_known
 from armperturb.arrays import Array
 
-NUMBERS = 15.0
-"""Independent numbers that are averaged at least far above the noise, and k (x / P)^2 near it [-]: those of 10 ms at
-2 kHz."""
+NUMBERS = 8.0
+"""Independent numbers that are averaged at least far above the noise, and k (x / P)^2 near it [-]: those of 10 ms of a
+contraction at 2 kHz."""
 
 LONGEST = 0.1
 """Time over which power is averaged at most [s]."""
@@ -62,7 +62,7 @@ def cocontraction(
     """
     used = flexors + extensors
     power, silent = envelopes.power[trial, part][:, used], envelopes.noise[used]
-    mean, per_second = mean_known(power), envelopes.samples_per_second[used]
+    mean, per_second = mean_known(power), envelopes.samples_per_second[trial, used]
     above = np.where(is_there[used], mean - silent, np.nan)
     of_noise = (mean / above) ** 2
     wanted = NUMBERS * np.nan_to_num(of_noise / per_second).max()

@@ -105,7 +105,7 @@ class Envelopes(Result):
       reference: what amplitudes are relative to: "maximal contraction", or the condition of the largest mean power.
       reference_volts: its RMS as recorded [V], (muscle,).
       averaging: time over which a sample of the power is averaged [s].
-      samples_per_second: independent numbers in a second of the whitened channels [1/s], (muscle,).
+      samples_per_second: independent numbers in a second of the whitened channels [1/s], (trial, muscle).
       faults: of channels, in the order of the trials.
       crosstalk: pairs of channels that share a signal.
       hum: name of each channel that hums to the frequencies that are cut out [Hz].
@@ -167,7 +167,7 @@ class Envelopes(Result):
         return np.sqrt(np.maximum(power - self.noise, 0.0))
 
     def relative_variance(self, duration: float) -> Array:
-        """Variance over squared mean of an amplitude that is averaged so long [s], far above the noise, (muscle,)."""
+        """Variance over squared mean of amplitudes averaged so long [s], far above the noise, (trial, muscle)."""
         return 1.0 / (2.0 * self.samples_per_second * duration)
 
     @property
@@ -339,7 +339,7 @@ def envelopes(
     volts, actions = recording["emg"].values, muscle_actions(recording)
     names, conditions = list(actions), recording["condition"].values.astype(str)
     spectra = Spectra.of(volts, rate, low, mains)
-    require_raw(volts, spectra.below, names)
+    require_raw(volts, rate, names)
     high = passed_band(spectra, low, HIGH_SHARE * rate) if high is None else high
     noise = noise_spectra(spectra, (low, high), conditions == rest)
     knows_noise, noise = np.isfinite(noise).all(axis=-1), np.nan_to_num(noise)

@@ -146,7 +146,7 @@ def onsets(
     expected = "trials of conditions, of ConditionTrials.prepare"
     trials = as_list_of("onsets: trials", "onsets: trials of a condition", trials, ConditionTrials, expected)
     rate, names = envelopes.rate, list(envelopes.muscles)
-    power, moved, starts, directions = [], [], [], []
+    power, moved, starts, directions, per_second = [], [], [], [], []
     latest = -math.inf
     for part in trials:
         turned = rotation(part, (arms or {}).get(part.label))
@@ -157,6 +157,7 @@ def onsets(
             if not onset >= EARLIEST:
                 continue
             power.append(envelopes.power[row])
+            per_second.append(envelopes.samples_per_second[row])
             # Reflexes act about the posture that is held.
             moved.append(turned[place] - turned[place, : max(round(onset * rate), 1)].mean(axis=0))
             starts.append(onset)
@@ -182,7 +183,7 @@ def onsets(
         stretch = Stretch([moved[k] for k in chosen], [time for _, time in cut], rate, envelopes.averaging)
         for column, name in enumerate(names):
             seen = np.stack([values[:, column] for values, _ in cut])
-            weight = float(envelopes.samples_per_second[column] * envelopes.averaging / OVERLAP)
+            weight = float(np.mean([per_second[k][column] for k in chosen]) * envelopes.averaging / OVERLAP)
             sign = -envelopes.muscles[name].sign
             answer = _latency(seen, stretch, sign, float(envelopes.noise[column]), weight)
             table.append((name, float(direction), len(chosen), *answer))

@@ -60,6 +60,21 @@ def require_known_muscles(envelopes: Envelopes) -> None:
         )
 
 
+def dead_muscles(trials: ConditionTrials, envelopes: Envelopes) -> list[str]:
+    """Muscles whose channel is dead in any of the trials of a condition, before the first pulse.
+
+    Args:
+      trials: of the condition.
+      envelopes: of the person.
+
+    Raises:
+      ValueError: the envelopes hold other trials of the condition.
+    """
+    power = envelopes.power[rows_of(trials, envelopes), : RecordWindow.of(trials).end]
+    names = list(envelopes.muscles)
+    return [names[column] for column in np.flatnonzero(~np.isfinite(power).all(axis=(0, 1)))]
+
+
 def reflex_outputs(trials: ConditionTrials, envelopes: Envelopes) -> ReflexOutputs:
     """EMG of the trials of one condition as outputs of the arm's model.
 
@@ -74,18 +89,16 @@ def reflex_outputs(trials: ConditionTrials, envelopes: Envelopes) -> ReflexOutpu
         these is dead in a trial.
     """
     require_known_muscles(envelopes)
-    rows = rows_of(trials, envelopes)
     window = RecordWindow.of(trials)
-    amplitude = envelopes.amplitudes(rows)
-    alive = np.flatnonzero(np.isfinite(amplitude[:, : window.end]).all(axis=(0, 1)))
-    amplitude = np.nan_to_num(amplitude)
+    dead = dead_muscles(trials, envelopes)
+    amplitude = np.nan_to_num(envelopes.amplitudes(rows_of(trials, envelopes)))
     groups, differences = [], []
     for joints in GROUPS:
         sides = [
             [
                 column
-                for column, action in enumerate(envelopes.muscles.values())
-                if action.joints == joints and action.sign == sign and column in alive
+                for column, (name, action) in enumerate(envelopes.muscles.items())
+                if action.joints == joints and action.sign == sign and name not in dead
             ]
             for sign in (-1, 1)
         ]

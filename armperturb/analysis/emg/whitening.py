@@ -61,7 +61,8 @@ class Whitening:
       n_padded: samples of a part that is so extended, with the zeros behind it.
       response: (muscle, frequency), real.
       undone: what takes the phase of the amplifier away, of modulus one, (frequency,); None where nobody knows it.
-      samples_per_second: independent numbers in a second of what comes out [1/s], (muscle,).
+      samples_per_second: independent numbers in a second of what comes out [1/s], (trial, muscle): more where it is
+        whiter, so that they differ between trials at rest and strong contractions.
       gain: power that comes out over that of the muscle in the band, (muscle,).
       noise: power that comes out of the silent channel [V^2], (muscle,).
       hum: column to the frequencies that are cut out [Hz].
@@ -283,7 +284,7 @@ def whitening(
     n_parts = parts_of(n_samples)
     passed, fine = band_power(frequency, *band), fft.rfftfreq(n_padded, 1.0 / rate)
     response = np.empty((n_muscles, len(fine)), dtype=np.float32)
-    samples, gain, silent = np.empty(n_muscles), np.empty(n_muscles), np.empty(n_muscles)
+    samples, gain, silent = np.empty((len(spectra.power), n_muscles)), np.empty(n_muscles), np.empty(n_muscles)
     for column in range(n_muscles):
         of_trials = spectra.power[:, column]
         # The geometric mean: between strong and weak contractions, rather than the strongest.
@@ -297,8 +298,9 @@ def whitening(
         for line in spectra.hum.get(column, ()):
             root[np.abs(fine - line) < NOTCH] = 0.0
         response[column] = root
-        out = np.interp(fine, frequency, total) * root**2
-        samples[column] = 2.0 * fine[1] * np.sum(out) ** 2 / np.sum(out**2)
+        for trial, of_trial in enumerate(of_trials):  # a dead trial counts as all others together
+            out = np.interp(fine, frequency, of_trial if of_trial.any() else total) * root**2
+            samples[trial, column] = 2.0 * fine[1] * np.sum(out) ** 2 / np.sum(out**2)
         above = np.maximum(np.mean(of_trials, axis=0) - noise[column], 1e-30)
         gain[column] = np.sum(power * above) / np.sum(passed * above)
         silent[column] = 2.0 * np.sum(np.interp(fine, frequency, noise[column]) * root**2)

@@ -20,7 +20,7 @@ from armperturb.analysis.fit.maximum_likelihood import Estimate, estimate
 from armperturb.analysis.fit.own_structures import composed
 from armperturb.analysis.fit.structures import Structure, is_published, structure_of, unit
 from armperturb.analysis.fit.thesis import ThesisEstimate, fit_trials
-from armperturb.analysis.fit.use_emg import UseOfEmg, told_without_emg
+from armperturb.analysis.fit.use_emg import UseOfEmg, told_of_emg
 from armperturb.analysis.manipulator import remarks_on_trials
 from armperturb.analysis.measures.endpoint import EndpointImpedance
 from armperturb.analysis.measures.start_geometry import in_start_geometry
@@ -341,7 +341,7 @@ def identify_conditions(
                 group.label: replace(_likely_fit(joint, group, group.spectra), trials=group.parts) for group in groups
             }
         if emg:
-            fits = {label: told_without_emg(fit) for label, fit in fits.items()}
+            fits = {label: told_of_emg(fit, emg, conditions[label][0]) for label, fit in fits.items()}
     is_cut = estimator != "record" or emg is not None
     said = {
         label: (

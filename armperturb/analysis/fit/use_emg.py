@@ -6,7 +6,7 @@ import numpy as np
 
 from armperturb.analysis.arm.parameters import MATRIX
 from armperturb.analysis.emg.envelope import Envelopes
-from armperturb.analysis.emg.outputs import reflex_outputs
+from armperturb.analysis.emg.outputs import dead_muscles, reflex_outputs
 from armperturb.analysis.fit.arm_fit import ArmFit
 from armperturb.analysis.fit.emg_likelihood import FEEDBACK, ElectromechanicalDelay, EmgLikelihood
 from armperturb.analysis.fit.group import Group
@@ -63,9 +63,18 @@ class UseOfEmg:
         return group.with_emg(EmgLikelihood(reflex_outputs(recorded, self.envelopes), self.delay))
 
 
-def told_without_emg(fit: ArmFit) -> ArmFit:
-    """A fit with the remark that EMG tells nothing of it, if its likelihood has no gains of EMG."""
-    if any(name.startswith("g_") for name in fit.detail.values):
+def told_of_emg(fit: ArmFit, emg: UseOfEmg, recorded: ConditionTrials) -> ArmFit:
+    """A fit with the remark that EMG tells nothing of it, or which muscles it does without, if that is so.
+
+    Args:
+      fit: of a condition.
+      emg: that was to be used.
+      recorded: trials of the condition.
+    """
+    if not any(name.startswith("g_") for name in fit.detail.values):
+        said = f"EMG is not used: model {fit.structure} has no reflexes, of which it tells; the movement alone is used"
+    elif dead := dead_muscles(recorded, emg.envelopes):
+        said = f"EMG of {', '.join(dead)} is dead in a part of a trial: left out of the fit in all trials"
+    else:
         return fit
-    remark = f"EMG is not used: model {fit.structure} has no reflexes, of which it tells; the movement alone is used"
-    return replace(fit, remarks=(*fit.remarks, remark))
+    return replace(fit, remarks=(*fit.remarks, said))

@@ -34,6 +34,16 @@ def test_index_is_the_level_of_co_contraction(level):
     assert index == pytest.approx(true, rel=0.1)
 
 
+def test_index_is_that_of_a_trial_however_many_relaxed_trials_there_are():
+    level = np.array([1.0, 0.0, 0.1, 0.1, *[0.0] * 12])[:, None, None]
+    white = 5e-3 * np.random.default_rng(0).standard_normal((len(level), 2, N))
+    recording = recorded(level * noise((len(level), 2, N)) + white, ["MVC", "REST", "PT", "PT", *["RT"] * 12])
+    for trials in (slice(4), slice(None)):
+        index = activity(envelopes(recording.isel(trial=trials))).cocontraction.set_index("condition")["index"]
+        assert index["PT"] == pytest.approx(0.1, rel=0.04)
+        assert index["MVC"] == pytest.approx(1.0, rel=0.04)
+
+
 @pytest.mark.parametrize("kind", ["fast", "slow"])
 @pytest.mark.parametrize("level", [0.02, 0.1])
 def test_index_is_what_both_antagonists_share_while_they_take_turns(kind, level):

@@ -7,7 +7,7 @@ import pytest
 from invented_emg import noise, recorded
 
 from armperturb.analysis.emg.envelope import envelopes
-from armperturb.analysis.emg.outputs import reflex_outputs
+from armperturb.analysis.emg.outputs import dead_muscles, reflex_outputs
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.recording import Action
 
@@ -29,6 +29,7 @@ def dead(amplitudes, *columns):
 
 def test_a_muscle_that_is_dead_in_a_trial_is_left_out_of_all(recording):
     trials, amplitudes = ConditionTrials.prepare(recording), envelopes(recording)
+    assert (dead_muscles(trials, amplitudes), dead_muscles(trials, dead(amplitudes, 0))) == ([], ["one"])
     without = reflex_outputs(trials, dead(amplitudes, 0)).difference
     values = amplitudes.amplitudes(slice(None))
     expected = values[..., 2] - values[..., 1]

@@ -75,7 +75,7 @@ def of_amplitude(amplitude, labels):
         reference="RT7.5",
         reference_volts=np.ones(n),
         averaging=0.01,
-        samples_per_second=np.full(n, 400.0),
+        samples_per_second=np.full((len(amplitude), n), 400.0),
         faults=(),
         crosstalk=(),
         hum={},
