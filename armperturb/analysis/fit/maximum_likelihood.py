@@ -198,8 +198,8 @@ def estimate(
 ) -> Estimate:
     """Estimate the arm of one person from the trials of one or several conditions.
 
-    EMG follows the more likely of two laws, `emg_laws.TORQUE` and `emg_laws.STRETCH`; or, where neither fits and that is
-    clearly more likely, the mixture of both.
+    EMG follows the more likely of two laws, `emg_laws.TORQUE` and `emg_laws.STRETCH`; or, where neither fits and that
+    is clearly more likely, the mixture of both.
 
     Args:
       groups: trials, one group per condition.
