@@ -39,7 +39,8 @@ from armperturb.analysis.emg.channels import (
     require_raw,
     said_of,
 )
-from armperturb.analysis.emg.whitening import Intervals, Spectra, noise_spectra, whitening
+from armperturb.analysis.emg.doubts import ABOVE_NOISE, doubts
+from armperturb.analysis.emg.whitening import Intervals, Spectra, noise_spectra, tone_at_rest, whitening
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.arrays import Array, Indices
 from armperturb.recording import EXPECTED, TEXT_COORDINATES, Action, emg_highpass, muscle_actions
@@ -65,9 +66,6 @@ MAXIMAL_WINDOW, PLATEAU = 1.0, 0.8
 
 CORRELATED = 2**19
 """Samples of a trial, the first ones, in which channels are compared for cross-talk: four minutes at 2 kHz."""
-
-ACTIVE = 10.0
-"""Power over that of the silent channel from which on a muscle is active in the most active condition [-]."""
 
 NO_NOISE = (
     "the quietest trial has the spectrum of strong contractions, which is white, so that nothing tells the noise of "
@@ -108,6 +106,7 @@ class Envelopes(Result):
       faults: of channels, in the order of the trials.
       crosstalk: pairs of channels that share a signal.
       hum: name of each channel that hums to the frequencies that are cut out [Hz].
+      doubts: what else makes amplitudes doubtful, a line each.
       contractions: conditions in which muscles are contracted on purpose, whatever the task is.
     """
 
@@ -125,6 +124,7 @@ class Envelopes(Result):
     faults: tuple[ChannelFault, ...]
     crosstalk: tuple[Crosstalk, ...]
     hum: dict[str, list[float]]
+    doubts: tuple[str, ...] = ()
     contractions: tuple[str, ...] = ()
 
     @property
@@ -145,7 +145,7 @@ class Envelopes(Result):
         and this is none of the relax task, or a contraction.
         """
         relaxed = set(self.labels["condition"][self.labels["task"] == "RT"]) - set(self.contractions)
-        is_active = ACTIVE * self.noise <= 1.0
+        is_active = ABOVE_NOISE * self.noise <= 1.0
         return np.asarray((is_active & (self.reference not in relaxed)) | self.is_normalised)
 
     @property
@@ -173,7 +173,7 @@ class Envelopes(Result):
         said = list(said_of(self.faults))
         for name, lines in self.hum.items():
             said.append(f"EMG of {name} hums at {', '.join(f'{line:.1f}' for line in lines)} Hz: cut out")
-        said += map(str, self.crosstalk)
+        said += [*map(str, self.crosstalk), *self.doubts]
         if no_group := [name for name, action in self.muscles.items() if not action.joints or not action.sign]:
             said.append(
                 f"EMG of {', '.join(no_group)}: nobody says what the muscle does; expected signals.emg.muscles in the "
@@ -334,7 +334,7 @@ def envelopes(
     names, conditions = list(actions), recording["condition"].values.astype(str)
     spectra = Spectra.of(volts, rate, low, mains)
     require_raw(volts, spectra.below, names)
-    noise = noise_spectra(spectra, (low, high), conditions == rest)
+    noise, tone = (of(spectra, (low, high), conditions == rest) for of in (noise_spectra, tone_at_rest))
     knows_noise, noise = np.isfinite(noise).all(axis=-1), np.nan_to_num(noise)
     filtered = whitening(
         spectra, noise, volts.shape[1], rate, (low, high), highpass=emg_highpass(recording), whiten=whiten
@@ -369,13 +369,15 @@ def envelopes(
     above = np.maximum(np.maximum(largest - filtered.noise, filtered.noise), np.finfo(np.float32).tiny)
     power /= above
     rectified /= np.sqrt(above)
+    of_maximal = maximal if reference == "maximal contraction" else None
+    means, silent = _means(power, labels["onset"].to_numpy(), 0), filtered.noise / above
     return Envelopes(
         muscles=actions,
         labels=labels,
         rate=mechanical,
         power=power,
         rectified=rectified,
-        noise=filtered.noise / above,
+        noise=silent,
         knows_noise=np.asarray(knows_noise),
         reference=reference,
         reference_volts=np.sqrt(above / filtered.gain),
@@ -384,6 +386,7 @@ def envelopes(
         faults=tuple(faults),
         crosstalk=crosstalk_of(shared, names),
         hum={names[column]: lines for column, lines in filtered.hum.items()},
+        doubts=tuple(doubts(names, labels, means, silent, tone, maximal=of_maximal, rest=rest)),
         contractions=tuple(contractions),
     )
 
