@@ -39,7 +39,7 @@ from armperturb.analysis.emg.channels import (
     require_raw,
     said_of,
 )
-from armperturb.analysis.emg.doubts import ABOVE_NOISE, doubts
+from armperturb.analysis.emg.doubtful import ABOVE_NOISE, remarks_on_amplitudes
 from armperturb.analysis.emg.whitening import Intervals, Spectra, noise_spectra, tone_at_rest, whitening
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.arrays import Array, Indices
@@ -106,7 +106,7 @@ class Envelopes(Result):
       faults: of channels, in the order of the trials.
       crosstalk: pairs of channels that share a signal.
       hum: name of each channel that hums to the frequencies that are cut out [Hz].
-      doubts: what else makes amplitudes doubtful, a line each.
+      doubtful: what else makes amplitudes doubtful, a line each.
       contractions: conditions in which muscles are contracted on purpose, whatever the task is.
     """
 
@@ -124,7 +124,7 @@ class Envelopes(Result):
     faults: tuple[ChannelFault, ...]
     crosstalk: tuple[Crosstalk, ...]
     hum: dict[str, list[float]]
-    doubts: tuple[str, ...] = ()
+    doubtful: tuple[str, ...] = ()
     contractions: tuple[str, ...] = ()
 
     @property
@@ -173,7 +173,7 @@ class Envelopes(Result):
         said = list(said_of(self.faults))
         for name, lines in self.hum.items():
             said.append(f"EMG of {name} hums at {', '.join(f'{line:.1f}' for line in lines)} Hz: cut out")
-        said += [*map(str, self.crosstalk), *self.doubts]
+        said += [*map(str, self.crosstalk), *self.doubtful]
         if no_group := [name for name, action in self.muscles.items() if not action.joints or not action.sign]:
             said.append(
                 f"EMG of {', '.join(no_group)}: nobody says what the muscle does; expected signals.emg.muscles in the "
@@ -386,7 +386,7 @@ def envelopes(
         faults=tuple(faults),
         crosstalk=crosstalk_of(shared, names),
         hum={names[column]: lines for column, lines in filtered.hum.items()},
-        doubts=tuple(doubts(names, labels, means, silent, tone, maximal=of_maximal, rest=rest)),
+        doubtful=tuple(remarks_on_amplitudes(names, labels, means, silent, tone, maximal=of_maximal, rest=rest)),
         contractions=tuple(contractions),
     )
 

@@ -240,7 +240,7 @@ class _Profile:
     def is_stretched(self, place: int, after: Indices) -> bool:
         """Whether a muscle that answers at one of `LATENCIES` has seen more stretch after the pulse than before."""
         fits, inputs = self._found[place], self._stretch(np.array([place]), self._sign)
-        best = fits.deviance.argmin(keepdims=True)
+        best = fits.deviance.argsort()[:1]
         seen = fits.of(best).stretch(inputs[best])[0].mean(axis=0)
         return float(seen[after].mean()) > float(np.delete(seen, after).mean())
 
@@ -282,8 +282,8 @@ def _latency(
             high = min(high + COARSE, last)
         else:
             break
-    found = low + int(np.argmin(deviances))
-    if deviances[0] < limit or deviances[-1] < limit or not profile.is_stretched(found, after):
+    chosen = low + int(np.argmin(deviances))
+    if deviances[0] < limit or deviances[-1] < limit or not profile.is_stretched(chosen, after):
         return math.nan, math.nan, math.nan, p
     at, inside = LATENCIES[low : high + 1], np.flatnonzero(deviances < limit)
     lower, upper = (

@@ -120,7 +120,7 @@ def levels_of(level, conditions, **options):
     ],
 )
 def test_amplitudes_that_are_doubtful_are_named(level, said):
-    remarks = levels_of(level, ["MVC", "PT", "PT", "REST"]).doubts
+    remarks = levels_of(level, ["MVC", "PT", "PT", "REST"]).doubtful
     for part in said:
         assert any(part in remark for remark in remarks), part
     assert bool(remarks) == bool(said)

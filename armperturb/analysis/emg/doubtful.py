@@ -20,7 +20,7 @@ TONE, MOSTLY = 0.02, 0.5
 """Amplitude at rest over that of the reference, and share of the muscle in it, above which a person has tone [-]."""
 
 
-def doubts(
+def remarks_on_amplitudes(
     names: Sequence[str],
     labels: pd.DataFrame,
     power: Array,
