@@ -220,7 +220,10 @@ def estimate(
     def better(law: Law, by: float) -> Estimate:
         """The estimate with another law if its objective is less by that much, else the best one."""
         try:
-            other = _estimate([group.under(law) for group in groups], method, share, start)
+            # Where the best law fits, another one is near it or no match.
+            other = _estimate(
+                [group.under(law) for group in groups], method, share, start, is_near=not best.is_suspicious
+            )
         except ValueError:  # a law whose gains the trials do not identify
             return best
         return other if other.objective < best.objective - by else best
@@ -234,9 +237,14 @@ def estimate(
 
 
 def _estimate(
-    groups: Sequence[Group], method: Method, share: Sequence[str], initial: Mapping[str, float] | None
+    groups: Sequence[Group],
+    method: Method,
+    share: Sequence[str],
+    initial: Mapping[str, float] | None,
+    *,
+    is_near: bool = False,
 ) -> Estimate:
-    """As `estimate`, by the law that the EMG of the groups has."""
+    """As `estimate`, by the law that the EMG of the groups has; where values are near, no other start is tried."""
     require_one_of("estimate", "method", method, get_args(Method))
     if not groups:
         raise ValueError("groups is empty; expected the trials of at least one condition")
@@ -256,7 +264,7 @@ def _estimate(
         problem.require_identifiable(first)
     problem.weigh(search.values)
     fit = problem.lack_of_fit(search.values)
-    is_given = initial is not None and len(initial) == len(problem.names)
+    is_given = is_near or (initial is not None and len(initial) == len(problem.names))
     if not is_given and (not search.converged or fit.p_value < SUSPICIOUS):
         starts = [problem.published()]
         if fit.chi2 > LARGE_LACK * fit.dof:
