@@ -466,7 +466,7 @@ def _alike(
       share: as it was for the estimate.
       emg_times: by how much more EMG tells than it does.
     """
-    problem = JointLikelihood(groups, "record", share)
+    problem = JointLikelihood([group.under(fitted.law) for group in groups], "record", share)
     values = np.array([fitted.values[name] for name in problem.names])
     problem.weigh(values)
     information = problem.normal(values).information

@@ -39,7 +39,15 @@ from armperturb.analysis.emg.channels import (
     require_raw,
     said_of,
 )
-from armperturb.analysis.emg.whitening import Intervals, Spectra, noise_spectra, passed_band, whitening
+from armperturb.analysis.emg.doubtful import ABOVE_NOISE, remarks_on_amplitudes
+from armperturb.analysis.emg.whitening import (
+    Intervals,
+    Spectra,
+    noise_spectra,
+    passed_band,
+    tone_at_rest,
+    whitening,
+)
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.arrays import Array, Indices
 from armperturb.copied_trials import without_copies
@@ -66,9 +74,6 @@ MAXIMAL_WINDOW, PLATEAU = 1.0, 0.8
 
 CORRELATED = 2**19
 """Samples of a trial, the first ones, in which channels are compared for cross-talk: four minutes at 2 kHz."""
-
-ACTIVE = 10.0
-"""Power over that of the silent channel from which on a muscle is active in the most active condition [-]."""
 
 NO_NOISE = (
     "the quietest trial has the spectrum of strong contractions, which is white, so that nothing tells the noise of "
@@ -109,6 +114,7 @@ class Envelopes(Result):
       faults: of channels, in the order of the trials.
       crosstalk: pairs of channels that share a signal.
       hum: name of each channel that hums to the frequencies that are cut out [Hz].
+      doubtful: what else makes amplitudes doubtful, a line each.
       contractions: conditions in which muscles are contracted on purpose, whatever the task is.
       copies: a line on each trial that repeats another and is left out.
     """
@@ -127,6 +133,7 @@ class Envelopes(Result):
     faults: tuple[ChannelFault, ...]
     crosstalk: tuple[Crosstalk, ...]
     hum: dict[str, list[float]]
+    doubtful: tuple[str, ...] = ()
     contractions: tuple[str, ...] = ()
     copies: tuple[str, ...] = ()
 
@@ -148,7 +155,7 @@ class Envelopes(Result):
         and this is none of the relax task, or a contraction.
         """
         relaxed = set(self.labels["condition"][self.labels["task"] == "RT"]) - set(self.contractions)
-        is_active = ACTIVE * self.noise <= 1.0
+        is_active = ABOVE_NOISE * self.noise <= 1.0
         return np.asarray((is_active & (self.reference not in relaxed)) | self.is_normalised)
 
     @property
@@ -176,7 +183,7 @@ class Envelopes(Result):
         said = [*self.copies, *said_of(self.faults)]
         for name, lines in self.hum.items():
             said.append(f"EMG of {name} hums at {', '.join(f'{line:.1f}' for line in lines)} Hz: cut out")
-        said += map(str, self.crosstalk)
+        said += [*map(str, self.crosstalk), *self.doubtful]
         if no_group := [name for name, action in self.muscles.items() if not action.joints or not action.sign]:
             said.append(
                 f"EMG of {', '.join(no_group)}: nobody says what the muscle does; expected signals.emg.muscles in the "
@@ -341,7 +348,7 @@ def envelopes(
     spectra = Spectra.of(volts, rate, low, mains)
     require_raw(volts, rate, names)
     high = passed_band(spectra, low, HIGH_SHARE * rate) if high is None else high
-    noise = noise_spectra(spectra, (low, high), conditions == rest)
+    noise, tone = (of(spectra, (low, high), conditions == rest) for of in (noise_spectra, tone_at_rest))
     knows_noise, noise = np.isfinite(noise).all(axis=-1), np.nan_to_num(noise)
     filtered = whitening(
         spectra, noise, volts.shape[1], rate, (low, high), highpass=emg_highpass(recording), whiten=whiten
@@ -376,13 +383,15 @@ def envelopes(
     above = np.maximum(np.maximum(largest - filtered.noise, filtered.noise), np.finfo(np.float32).tiny)
     power /= above
     rectified /= np.sqrt(above)
+    of_maximal = maximal if reference == "maximal contraction" else None
+    means, silent = _means(power, labels["onset"].to_numpy(), 0), filtered.noise / above
     return Envelopes(
         muscles=actions,
         labels=labels,
         rate=mechanical,
         power=power,
         rectified=rectified,
-        noise=filtered.noise / above,
+        noise=silent,
         knows_noise=np.asarray(knows_noise),
         reference=reference,
         reference_volts=np.sqrt(above / filtered.gain),
@@ -391,6 +400,7 @@ def envelopes(
         faults=tuple(faults),
         crosstalk=crosstalk_of(shared, names),
         hum={names[column]: lines for column, lines in filtered.hum.items()},
+        doubtful=tuple(remarks_on_amplitudes(names, labels, means, silent, tone, maximal=of_maximal, rest=rest)),
         contractions=tuple(contractions),
         copies=each_once.remarks,
     )

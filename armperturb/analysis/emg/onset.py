@@ -3,17 +3,19 @@
 A pulse sets the arm in motion slowly, so that a response has no sharp onset, and what a threshold finds is late by a
 time that depends on its strength. So the onset is sought by likelihood: about each pulse, the amplitude of a muscle is
 
-    a(t) = b_i + s_i max(0, c . z(t - T)),
+    a(t) = max(0, b_i + s_i r(c . z(t - T))),    r(y) = y for y > 0, u y for y < 0,
 
-with a background b_i and a size s_i of the response of each trial i, and gains c >= 0 of what stretches the muscle: z
-holds the rotations of both joints from where they were held, their velocities and the sum of these (muscles that cross
-both), the velocities v as v / (1 + |v| / v_0). The speed v_0 at which responses have fallen to half is one of
-`SATURATIONS`, whichever is most likely. The rotation is measured, so that nothing is assumed of when it starts; sizes
-are of trials, as people do not answer alike each time, nor in each condition.
+with a background b_i and a size s_i of the response of each trial i, and gains c >= 0 of what stretches the muscle.
+Shortening either takes from the background as much as stretch adds, down to silence (u = 1), or nothing (u = 0),
+whichever is most likely. Here z holds the rotations of both joints from where they were held, their velocities and the
+sum of these (muscles that cross both), the velocities v as v / (1 + |v| / v_0). The speed v_0 at which responses have
+fallen to half is one of `SATURATIONS`, whichever is most likely. The rotation is measured, so that nothing is assumed
+of when it starts; sizes are of trials, as people do not answer alike each time, nor in each condition.
 The power of whitened EMG in an interval is gamma distributed about a^2 + noise with as many degrees of freedom as
 there are independent samples in it (Staude & Wolf 1999, Med. Eng. Phys. 21, compare onset detectors and find those by
 likelihood best). The latency T has the largest profile likelihood, and its 95 % interval is that of the profile
-likelihood, over the dispersion that the power shows.
+likelihood, over the dispersion that the power shows. It is that of a stretch reflex: a muscle that the pulse shortens
+at first has none, even if it falls silent.
 """
 
 import math
@@ -69,8 +71,8 @@ class Onsets(Result):
       conditions: of the trials.
       unit: of amplitudes.
       latencies: one row per muscle and direction of the pulses: number of `trials`; `latency_s` from rotation to EMG
-        with its 95 % limits `lower_95_s` and `upper_95_s`, NaN where the muscle does not answer clearly; `p` of no
-        response.
+        with its 95 % limits `lower_95_s` and `upper_95_s`, NaN where the muscle does not answer clearly or the pulse
+        shortens it at first; `p` of no response.
       time: from the pulses' onset [s], (time,).
       directions_deg: of the pulses [deg], (direction,).
       average: mean amplitude over trials [-], (direction, muscle, time).
@@ -100,8 +102,8 @@ class Onsets(Result):
             if np.isfinite(row["latency_s"])
         )
         none = (
-            f"no muscle answers clearly (p < {SIGNIFICANT:g}) with a latency whose interval is within "
-            f"{1e3 * LATENCIES[0]:g} to {1e3 * LATENCIES[-1]:g} ms"
+            f"no muscle that pulses stretch answers clearly (p < {SIGNIFICANT:g}) with a latency whose interval is "
+            f"within {1e3 * LATENCIES[0]:g} to {1e3 * LATENCIES[-1]:g} ms"
         )
         return Description(
             title=f"Answers of the muscles of {self.subject} to pulses in {', '.join(self.conditions)}",
@@ -180,12 +182,13 @@ def onsets(
         spread = amplitude.std(axis=0, ddof=1) if len(chosen) > 1 else np.full(amplitude.shape[1:], np.nan)
         errors.append(spread.T / np.sqrt(len(chosen)))
         cut = [_about(power[k], starts[k], rate, WINDOW) for k in chosen]
+        after = np.arange(round(-WINDOW[0] * rate), cut[0][0].shape[0])
         stretch = Stretch([moved[k] for k in chosen], [time for _, time in cut], rate, envelopes.averaging)
         for column, name in enumerate(names):
             seen = np.stack([values[:, column] for values, _ in cut])
             weight = float(np.mean([per_second[k][column] for k in chosen]) * envelopes.averaging / OVERLAP)
             sign = -envelopes.muscles[name].sign
-            answer = _latency(seen, stretch, sign, float(envelopes.noise[column]), weight)
+            answer = _latency(seen, stretch, sign, float(envelopes.noise[column]), weight, after)
             table.append((name, float(direction), len(chosen), *answer))
     n_shown = averages[0].shape[1]
     columns = ["muscle", "direction_deg", "trials", "latency_s", "lower_95_s", "upper_95_s", "p"]
@@ -235,6 +238,13 @@ class _Profile:
             self._missed[new] = converged
         return np.array([self._found[place].deviance.min() for place in latencies.tolist()])
 
+    def is_stretched(self, place: int, after: Indices) -> bool:
+        """Whether a muscle that answers at one of `LATENCIES` has seen more stretch after the pulse than before."""
+        fits, inputs = self._found[place], self._stretch(np.array([place]), self._sign)
+        best = fits.deviance.argsort()[:1]
+        seen = fits.of(best).stretch(inputs[best])[0].mean(axis=0)
+        return float(seen[after].mean()) > float(np.delete(seen, after).mean())
+
     def _near(self, tried: Indices, places: Indices) -> Fits:
         """What was found nearest to some latencies."""
         nearest = [self._found[int(tried[np.argmin(np.abs(tried - place))])] for place in places]
@@ -242,9 +252,9 @@ class _Profile:
 
 
 def _latency(
-    seen: Array, stretch: Stretch, sign: int, noise: float, weight: float
+    seen: Array, stretch: Stretch, sign: int, noise: float, weight: float, after: Indices
 ) -> tuple[float, float, float, float]:
-    """Latency, its limits and p of no response, of the power of one muscle, (trial, time)."""
+    """Latency, its limits and p of no response, of the power of one muscle, (trial, time); after: samples that are."""
     if not np.nansum(seen) > 0.0:
         return math.nan, math.nan, math.nan, 1.0
     power, last = MusclePower(seen, noise, weight), len(LATENCIES) - 1
@@ -273,7 +283,8 @@ def _latency(
             high = min(high + COARSE, last)
         else:
             break
-    if deviances[0] < limit or deviances[-1] < limit:
+    chosen = low + int(np.argmin(deviances))
+    if deviances[0] < limit or deviances[-1] < limit or not profile.is_stretched(chosen, after):
         return math.nan, math.nan, math.nan, p
     at, inside = LATENCIES[low : high + 1], np.flatnonzero(deviances < limit)
     lower, upper = (

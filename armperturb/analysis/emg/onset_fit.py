@@ -20,6 +20,10 @@ LATENCIES = 0.01 + 1e-3 * np.arange(71)
 SATURATIONS = (np.inf, 2.0, 1.0, 0.5)
 """Speeds at which the response to velocity may have fallen to half [rad/s]."""
 
+UNLOADED = (0.0, 1.0)
+"""By what share of its answer to stretch a muscle may fall silent as it shortens, down to silence [-]: where reflexes
+excite alone it does not, where they drive a background it does so fully."""
+
 WITHIN = (-0.5 / np.sqrt(3.0), 0.5 / np.sqrt(3.0))
 """Where the model is evaluated within the averaging time of a sample, over that time [-]: Gauss's two points."""
 
@@ -79,7 +83,8 @@ class Stretch:
           sign: 1 for muscles that positive rotation stretches, -1 for others.
 
         Returns:
-          (candidate, part, trial, time, input), candidates as all latencies with each of `SATURATIONS` in turn.
+          (candidate, part, trial, time, input), candidates as all latencies with each of `SATURATIONS` in turn, and
+          these with each of `UNLOADED`.
         """
         rotation, velocity = sign * self._rotation[latencies], sign * self._velocity[latencies]
         n_rotations = rotation.shape[-1]
@@ -87,7 +92,8 @@ class Stretch:
         inputs[..., :n_rotations] = rotation
         for each, speed in zip(inputs, SATURATIONS, strict=True):
             each[..., n_rotations:] = velocity / (1.0 + np.abs(velocity) / speed)
-        return inputs.reshape(-1, *inputs.shape[2:])
+        inputs = inputs.reshape(-1, *inputs.shape[2:])
+        return np.concatenate([inputs] * len(UNLOADED))
 
 
 class Fits(NamedTuple):
@@ -98,16 +104,22 @@ class Fits(NamedTuple):
       levels: backgrounds, (candidate, trial).
       sizes: of the responses, (candidate, trial).
       gains: of the stretch, (candidate, input).
+      unloaded: which of `UNLOADED`, (candidate,).
     """
 
     deviance: Array
     levels: Array
     sizes: Array
     gains: Array
+    unloaded: Array
 
     def of(self, which: Indices | Flags) -> "Fits":
         """Some of the candidates."""
         return Fits(*(each[which] for each in self))
+
+    def stretch(self, inputs: Array) -> Array:
+        """What each candidate sees, (candidate, trial, time)."""
+        return np.asarray(np.einsum("cptoh,ch->cto", inputs, self.gains) / inputs.shape[1])
 
     def or_other(self, which: Flags, other: "Fits") -> "Fits":
         """Some of the candidates, and the others of other fits."""
@@ -172,21 +184,27 @@ class MusclePower:
         """Gains from the amplitude above the mean one, by least squares."""
         level = np.sqrt(np.maximum(self._mean / 2.0 - self._noise, self._floor))
         above = (np.sqrt(np.maximum(self._power - self._noise, 0.0)) - level[:, None]) * self.known
-        columns = np.maximum(inputs.mean(axis=1), 0.0) * self.known[..., None]
+        unloaded = np.repeat(UNLOADED, len(inputs) // len(UNLOADED))
+        columns = inputs.mean(axis=1)
+        columns = np.maximum(columns, unloaded[:, None, None, None] * columns) * self.known[..., None]
         columns = columns.reshape(len(inputs), -1, inputs.shape[-1])
         crossed = np.swapaxes(columns, 1, 2)
         gains = np.maximum(_solved(crossed @ columns, crossed @ above.ravel(), 1e-2), 0.0)
         levels = np.tile(level, (len(inputs), 1))
-        return Fits(np.zeros(len(inputs)), levels, np.ones_like(levels), gains)
+        return Fits(np.zeros(len(inputs)), levels, np.ones_like(levels), gains, unloaded)
 
-    def _model(self, inputs: Array, fits: Fits) -> tuple[Array, Array]:
-        """Power, (candidate, trial, time), and amplitude of responses of size one, (candidate, part, trial, time)."""
-        n = len(inputs)
-        driven = np.maximum(inputs.reshape(n, -1, inputs.shape[-1]) @ fits.gains[..., None], 0.0)
-        driven = driven.reshape(inputs.shape[:-1])
+    def _parts(self, inputs: Array, fits: Fits) -> tuple[Array, Array, Array]:
+        """Amplitudes, responses of size one, and their slope by what is seen, (candidate, part, trial, time) each."""
+        seen = (inputs.reshape(len(inputs), -1, inputs.shape[-1]) @ fits.gains[..., None]).reshape(inputs.shape[:-1])
+        slope = np.where(seen > 0.0, 1.0, fits.unloaded[:, None, None, None])
+        driven = slope * seen
         amplitude = fits.levels[:, None, :, None] + fits.sizes[:, None, :, None] * driven
-        power = np.sum(amplitude**2, axis=1) / inputs.shape[1]
-        return np.maximum(power + self._noise, self._floor), driven
+        return np.maximum(amplitude, 0.0), driven, slope
+
+    def _power_of(self, amplitude: Array) -> Array:
+        """Power of amplitudes, (candidate, trial, time)."""
+        power = np.sum(amplitude**2, axis=1) / amplitude.shape[1]
+        return np.maximum(power + self._noise, self._floor)
 
     def _deviance(self, model: Array) -> Array:
         return np.asarray(np.sum((self._power / model + np.log(model)) * self.known, axis=(1, 2)) - self._rest)
@@ -194,18 +212,18 @@ class MusclePower:
     def _cost(self, inputs: Array, fits: Fits) -> Array:
         """Deviance, and what sizes add that differ from one."""
         unlike = np.sum((fits.sizes - 1.0) ** 2, axis=1)
-        return np.asarray(self._deviance(self._model(inputs, fits)[0]) + 0.5 * self._tied * unlike)
+        return np.asarray(self._deviance(self._power_of(self._parts(inputs, fits)[0])) + 0.5 * self._tied * unlike)
 
     def _stepped(self, inputs: Array, now: Fits, damping: Array) -> tuple[Fits, Array]:
         """Candidates after a damped step of scoring, and by how much it promises to lower their deviance."""
-        model, driven = self._model(inputs, now)
+        amplitude, driven, rise = self._parts(inputs, now)
+        model = self._power_of(amplitude)
         weight = self.known / model
         residual = (self._power - model) * weight
         sizes = now.sizes[:, None, :, None]
-        amplitude = (now.levels[:, None, :, None] + sizes * driven) * (2.0 / inputs.shape[1]) * weight[:, None]
+        amplitude *= (2.0 / inputs.shape[1]) * weight[:, None]
         by_trial = np.stack([np.sum(amplitude, axis=1), np.sum(amplitude * driven, axis=1)], axis=2)
-        acts = np.where(driven > 0.0, amplitude * sizes, 0.0)
-        by_gain = np.sum(acts[..., None] * inputs, axis=1)
+        by_gain = np.sum((amplitude * rise * sizes)[..., None] * inputs, axis=1)
         n, n_gains = now.gains.shape
         flat = by_gain.reshape(n, -1, n_gains)
         crossed = np.swapaxes(flat, 1, 2)
@@ -231,6 +249,7 @@ class MusclePower:
             np.maximum(now.levels + own_change[..., 0], 0.0),
             np.maximum(now.sizes + own_change[..., 1], 0.0),
             np.maximum(now.gains + change, 0.0),
+            now.unloaded,
         )
         promised = (
             np.sum(own_slope[..., 0] * (after.levels - now.levels), axis=1)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage, optimize, signal
 
 from armperturb.analysis.emg.channels import NOTCH, hum_lines
-from armperturb.arrays import Array
+from armperturb.arrays import Array, Flags
 from armperturb.recording import HighPass
 
 RESOLUTION = 12.5
@@ -243,16 +243,43 @@ def noise_spectra(spectra: Spectra, band: tuple[float, float], is_rest: NDArray[
             strong = spectra.power[loud > STRONG * loud[alive].min(), column][:, inside]
             noise[column] = np.nan if len(strong) and all(map(_is_white, strong)) else level
             continue
-        expected = np.maximum(quietest, 1e-12 * quietest.max())
-        for _ in range(REWEIGHTED):  # weights that are the data's own would favour what is low by chance
-            design = np.stack([muscle / expected, 1.0 / expected], axis=1)
-            size = np.linalg.norm(design, axis=0)
-            parts = optimize.nnls(design / size, quietest / expected)[0] / size
-            expected = np.maximum(parts[0] * muscle + parts[1], 1e-12 * quietest.max())
+        parts = _of_muscle_and_white(quietest, muscle)
         # The mean has the noise as well: the share of it that is in the quietest trial takes as much of it along.
         taken = np.interp(parts[0], [0.0, ALIKE, 1.0], [0.0, ALIKE, 0.0])
         noise[column] = parts[1] / (1.0 - taken)
     return noise
+
+
+def tone_at_rest(spectra: Spectra, band: tuple[float, float], is_rest: Flags) -> Array:
+    """Share of the power at rest that has the spectrum of the muscle, (muscle,); zeros without trials at rest.
+
+    Args:
+      spectra: of the trials.
+      band: its edges [Hz].
+      is_rest: trials at rest, (trial,).
+    """
+    shares = np.zeros(spectra.power.shape[1])
+    if not is_rest.any() or is_rest.all():
+        return shares
+    inside = (spectra.frequency >= band[0]) & (spectra.frequency <= band[1])
+    for column, (rest, muscle) in enumerate(
+        zip(*(spectra.power[part][..., inside].mean(axis=0) for part in (is_rest, ~is_rest)), strict=True)
+    ):
+        if rest.max() > 0.0 and not _is_white(muscle):
+            of_muscle, white = _of_muscle_and_white(rest, muscle) * [muscle.mean(), 1.0]
+            shares[column] = of_muscle / max(of_muscle + white, 1e-300)
+    return shares
+
+
+def _of_muscle_and_white(spectrum: Array, muscle: Array) -> Array:
+    """How much of a muscle's spectrum, and of white noise, a spectrum is the sum of, (2,)."""
+    expected = np.maximum(spectrum, 1e-12 * spectrum.max())
+    for _ in range(REWEIGHTED):  # weights that are the data's own would favour what is low by chance
+        design = np.stack([muscle / expected, 1.0 / expected], axis=1)
+        size = np.linalg.norm(design, axis=0)
+        parts = optimize.nnls(design / size, spectrum / expected)[0] / size
+        expected = np.maximum(parts[0] * muscle + parts[1], 1e-12 * spectrum.max())
+    return np.asarray(parts)
 
 
 def _is_white(spectrum: Array) -> bool:

@@ -6,9 +6,10 @@ group of muscles (shoulder, elbow, both) the difference between the amplitudes o
     y(s) = sum over its joints of g_j e^(-s (Td_j - T_em)) u_j(s) + w,
 
 with an unknown gain g_j [1/(Nm)] for each joint that a group crosses, in each condition unless it is shared, and an
-electromechanical delay T_em by which the muscles answer later than their EMG, beyond the activation dynamics. What
-rectification adds to each amplitude is the same in both, and falls out of the difference. The noise w is that of
-EMG, of an unknown smooth spectrum; it is taken to move no arm, so that
+electromechanical delay T_em by which the muscles answer later than their EMG, beyond the activation dynamics. In place
+of torques u_j, groups may follow their own stretch (`emg_laws`). What rectification adds to each amplitude is the same
+in both, and falls out of the difference. The noise w is that of EMG, of an unknown smooth spectrum; it is taken to move
+no arm, so that
 
     p(x, y | d) = p(x | d) p(y | q),
 
@@ -16,7 +17,7 @@ and the logarithms of both likelihoods add (`trials_with_emg`). Rotations are th
 follow from the handle's displacement x and its force f on the hand: q = J^-1 (x - f / (b_h s + k_h)).
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple, Self
@@ -27,6 +28,7 @@ from scipy import fft
 from armperturb.analysis.arm.parameters import DELAYS, GRIP_DAMPING, GRIP_STIFFNESS, MATRIX, PARAMETERS
 from armperturb.analysis.defaults import FEWEST_TRIALS
 from armperturb.analysis.emg.outputs import ReflexOutputs
+from armperturb.analysis.fit.emg_laws import TORQUE, Law
 from armperturb.analysis.fit.likelihood import judged_part
 from armperturb.analysis.fit.trial_effects import ASSUMED
 from armperturb.analysis.fit.whittle import ALL, Whittle
@@ -45,6 +47,9 @@ N_ARM = len(PARAMETERS)
 
 FEEDBACK = ("kp", "kv", "ka")
 """Gains by the power of s that they go with."""
+
+ENTRIES = {name: [int(MATRIX[name][place]) for place in ((0, 0), (0, 1), (1, 1))] for name in FEEDBACK}
+"""Places of the entries s, se and e of their matrices among the parameters of an arm."""
 
 FEW_WITH_EMG = (
     f"EMG of fewer than {FEWEST_TRIALS} trials, which do not tell how a person differs from trial to trial: intervals "
@@ -128,19 +133,24 @@ class EmgSpectra(NamedTuple):
 
 
 class GainsOfJoints(Whittle):
-    """Likelihood of EMG that follows from what the reflexes of each joint see.
+    """Likelihood of EMG that follows from what reflexes see, of each joint or of each component of a law.
 
     Args:
       outputs: EMG and rotation.
       spectra: of these.
       cause: DFT of what a lack of fit is looked for with, (trial, channel, frequency).
+      law: what EMG follows.
     """
 
-    def __init__(self, outputs: ReflexOutputs, spectra: EmgSpectra, cause: ComplexArray) -> None:
+    def __init__(self, outputs: ReflexOutputs, spectra: EmgSpectra, cause: ComplexArray, law: Law = TORQUE) -> None:
         frequency = spectra.frequency
         self._s = 2j * np.pi * frequency
-        # Each gain, and of which output and joint it is.
-        self._gains = [(output, "se".index(joint)) for output, group in enumerate(outputs.groups) for joint in group]
+        # Each gain, and of which output and component it is.
+        self._gains = [
+            (output, component)
+            for output, group in enumerate(outputs.groups)
+            for component in law.gains[group].values()
+        ]
         super().__init__(
             frequency,
             cause,
@@ -154,8 +164,8 @@ class GainsOfJoints(Whittle):
     def _mixed(self, seen: ComplexArray, gains: Array) -> ComplexArray:
         """Outputs that follow from what reflexes see, (..., output, frequency)."""
         outputs = np.zeros((*seen.shape[:-2], self._n_outputs, seen.shape[-1]), dtype=complex)
-        for (output, joint), gain in zip(self._gains, gains, strict=False):
-            outputs[..., output, :] += gain * seen[..., joint, :]
+        for (output, component), gain in zip(self._gains, gains, strict=False):
+            outputs[..., output, :] += gain * seen[..., component, :]
         return outputs
 
     def _to_smooth(self, values: Array) -> ComplexArray:
@@ -171,18 +181,22 @@ class EmgLikelihood(GainsOfJoints):
     Args:
       outputs: EMG and rotation.
       delay: what is known of the electromechanical delay.
+      law: what EMG follows.
     """
 
-    def __init__(self, outputs: ReflexOutputs, delay: ElectromechanicalDelay) -> None:
+    def __init__(self, outputs: ReflexOutputs, delay: ElectromechanicalDelay, law: Law = TORQUE) -> None:
+        self._outputs, self.law = outputs, law
         spectra = EmgSpectra.of(outputs)
         self._grip_load = None if outputs.grip_load is None else spectra(outputs.grip_load)
-        self.names = tuple(
-            f"g_{joint}" if len(group) == 1 else f"g_b{joint}" for group in outputs.groups for joint in group
-        )
+        self.names = tuple(name for group in outputs.groups for name in law.gains[group])
         self._delay = delay
         if delay.sd > 0.0:
             self.names = (*self.names, DELAY_NAME)
-        super().__init__(outputs, spectra, spectra(outputs.rotation))
+        super().__init__(outputs, spectra, spectra(outputs.rotation), law)
+
+    def under(self, law: Law) -> "EmgLikelihood":
+        """The same EMG, by another law."""
+        return EmgLikelihood(self._outputs, self._delay, law)
 
     @property
     def rows(self) -> list[int]:
@@ -221,13 +235,16 @@ class EmgLikelihood(GainsOfJoints):
         return float(values[-1]) if self._delay.sd > 0.0 else self._delay.mean
 
     def _late(self, values: Array) -> ComplexArray:
-        """Delay from rotation to EMG, (joint, frequency)."""
-        late = values[DELAYS] - self._delay_of(values)
+        """Delay from rotation to EMG, (component, frequency)."""
+        late = self.law.delays @ values[DELAYS] - self._delay_of(values)
         return np.asarray(np.exp(-self._s * late[:, None]))
 
     def _feedback(self, values: Array) -> ComplexArray:
-        """From rotation to what reflexes see, (joint, joint, frequency)."""
-        powers = [values[MATRIX[name]][..., None] * self._s**power for power, name in enumerate(FEEDBACK)]
+        """From rotation to what reflexes see, (component, joint, frequency)."""
+        powers = [
+            (self.law.feedback @ values[ENTRIES[name]])[..., None] * self._s**power
+            for power, name in enumerate(FEEDBACK)
+        ]
         return np.asarray(np.sum(powers, axis=0))
 
     def _rotation(self, values: Array) -> ComplexArray:
@@ -239,9 +256,9 @@ class EmgLikelihood(GainsOfJoints):
         return np.asarray(1.0 / (values[GRIP_DAMPING] * self._s + values[GRIP_STIFFNESS]))
 
     def _seen(self, values: Array, trials: slice = ALL) -> ComplexArray:
-        """What reflexes see, as late as EMG shows it, (trial, joint, frequency)."""
+        """What reflexes see, as late as EMG shows it, (trial, component, frequency)."""
         response = self._late(values)[:, None] * self._feedback(values)
-        return np.asarray(np.einsum("jif,tif->tjf", response, self._rotation(values)[trials]))
+        return np.asarray(np.einsum("cif,tif->tcf", response, self._rotation(values)[trials]))
 
     def _predicted(self, values: Array, trials: slice = ALL) -> ComplexArray:
         return self._mixed(self._seen(values, trials), values[N_ARM:])
@@ -258,29 +275,26 @@ class EmgLikelihood(GainsOfJoints):
                 for column in np.flatnonzero(mixing[row]):
                     derivatives[column] += mixing[row, column] * of_row
 
-        def of_joints(changes: Mapping[int, ComplexArray]) -> ComplexArray:
-            change = np.zeros_like(seen)
-            for joint, of_joint in changes.items():
-                change[:, joint] = of_joint
-            return self._mixed(change, gains)
+        def of_feedback(power: int, entry: int) -> ComplexArray:
+            turned = np.einsum("ci,tif->tcf", self.law.feedback[..., entry], rotation)
+            return self._mixed(late * self._s**power * turned, gains)
 
-        def of_feedback(name: str, power: int, row: int) -> ComplexArray:
-            places = np.argwhere(MATRIX[name] == row)
-            return of_joints({joint: late[joint] * self._s**power * rotation[:, source] for joint, source in places})
+        def of_delay(joint: int) -> ComplexArray:
+            return self._mixed(-self._s * self.law.delays[:, joint, None] * seen, gains)
 
         for power, name in enumerate(FEEDBACK):
-            for row in np.unique(MATRIX[name]).tolist():
-                add(row, partial(of_feedback, name, power, row))
+            for entry, row in enumerate(ENTRIES[name]):
+                add(row, partial(of_feedback, power, entry))
         for joint in range(2):
-            add(DELAYS.start + joint, partial(of_joints, {joint: -self._s * seen[:, joint]}))
+            add(DELAYS.start + joint, partial(of_delay, joint))
         if self._grip_load is not None and np.isfinite(values[GRIP_STIFFNESS]):
             through = (late[:, None] * self._feedback(values)) * self._grip(values) ** 2
-            by_stiffness = np.einsum("jif,tif->tjf", through, self._grip_load)
+            by_stiffness = np.einsum("cif,tif->tcf", through, self._grip_load)
             add(GRIP_STIFFNESS, lambda: self._mixed(by_stiffness, gains))
             add(GRIP_DAMPING, lambda: self._mixed(self._s * by_stiffness, gains))
-        for k, (output, joint) in enumerate(self._gains):
+        for k, (output, component) in enumerate(self._gains):
             for column in np.flatnonzero(mixing[N_ARM + k]):
-                derivatives[column, :, output] += mixing[N_ARM + k, column] * seen[:, joint]
+                derivatives[column, :, output] += mixing[N_ARM + k, column] * seen[:, component]
         if self._delay.sd > 0.0:
             add(N_ARM + len(self._gains), lambda: self._mixed(self._s * seen, gains))
         yield ALL, derivatives

@@ -10,6 +10,7 @@ import xarray as xr
 
 from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.fit.admittance_problem import Target, checked_problem, least_squares
+from armperturb.analysis.fit.emg_laws import Law
 from armperturb.analysis.fit.emg_likelihood import EmgLikelihood
 from armperturb.analysis.fit.likelihood import (
     START_OF_MOVING,
@@ -178,6 +179,10 @@ class Group:
         """The same trials, of which EMG tells as well; one part only."""
         made = self.made if len(self.of_records) == len(self.parts) else {}
         return replace(self, emg=emg, made=made)
+
+    def under(self, law: Law | None) -> Self:
+        """The same trials, whose EMG, if there is any, follows a law."""
+        return self if law is None or self.emg is None else replace(self, emg=self.emg.under(law))
 
     @cached_property
     def initial(self) -> Array:

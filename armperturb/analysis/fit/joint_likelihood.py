@@ -288,6 +288,14 @@ class JointLikelihood:
         dof = sum(part.dof for part in parts) - len(self.names)
         return LackOfFit(sum(part.chi2 for part in parts), max(dof, 1))
 
+    def lack_of_emg(self, values: Array, effects: Effects | None = None) -> LackOfFit | None:
+        """The part of `lack_of_fit` that EMG has; None where none counts."""
+        every = self._with_parameters(values, effects)
+        parts = [
+            likelihood.emg.lack_of_fit(of_its) for likelihood, of_its in every if isinstance(likelihood, TrialsWithEmg)
+        ]
+        return LackOfFit(sum(part.chi2 for part in parts), sum(part.dof for part in parts)) if parts else None
+
     def added_covariance(self, values: Array) -> Array:
         """What errors of the noise and of the manipulators add to the variance of estimates, (parameter, parameter).
 

@@ -25,16 +25,9 @@ import numpy as np
 
 from armperturb.analysis.fit.group import Group, Method
 from armperturb.analysis.fit.likelihood_search import MAX_ROUNDS
-from armperturb.analysis.fit.maximum_likelihood import (
-    LARGE_LACK,
-    SKETCH_ROUNDS,
-    SUSPICIOUS,
-    Estimate,
-    Sketch,
-    estimate,
-    sketch,
-)
+from armperturb.analysis.fit.maximum_likelihood import LARGE_LACK, SUSPICIOUS, Estimate, estimate
 from armperturb.analysis.fit.own_structures import Grip, Inertia, Reflex, composed
+from armperturb.analysis.fit.sketch import SKETCH_ROUNDS, Sketch, sketch
 from armperturb.analysis.fit.structures import Structure
 from armperturb.analysis.fit.trial_effects import scaled
 from armperturb.analysis.fit.whittle import LackOfFit

@@ -8,17 +8,19 @@ Standard errors are those of the Fisher information, near the Cramer-Rao bound, 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, get_args
+from typing import get_args
 
 import numpy as np
+from scipy import stats
 
+from armperturb.analysis.arm.parameters import MATRIX
 from armperturb.analysis.defaults import FEWEST_TRIALS
-from armperturb.analysis.fit.emg_likelihood import FEW_WITH_EMG, remarks_on_delay
+from armperturb.analysis.fit.emg_laws import MIXED, STRETCH, TORQUE, Law
+from armperturb.analysis.fit.emg_likelihood import FEEDBACK, FEW_WITH_EMG, remarks_on_delay
 from armperturb.analysis.fit.group import Group, Method, require_one_person
 from armperturb.analysis.fit.joint_likelihood import PART_OF, JointLikelihood
 from armperturb.analysis.fit.likelihood_search import (
     SETTLED,
-    SKETCHED,
     Searched,
     bounded_step,
     has_unusual_delays,
@@ -33,7 +35,6 @@ from armperturb.analysis.fit.trial_effects import (
     FEW,
     QUANTITIES,
     SINGULAR,
-    TrialScore,
     differing,
     fit_mixed,
     scaled,
@@ -48,11 +49,14 @@ from armperturb.arrays import Array
 from armperturb.subject import Subject
 from armperturb.validation import require_one_of
 
-PLENTY = 600.0
-"""Duration of all trials together from which on their spectra lead a search to the right delays [s]."""
+UNLIKE = "EMG does not follow from the reflexes that the movement shows"
+"""Start of the remark on EMG that does not fit."""
 
-SKETCH_ROUNDS = 12
-"""Steps after which the search of a sketch ends."""
+OF_BOTH = [MATRIX[name][0, 1] for name in FEEDBACK]
+"""Places of the feedback of muscles that cross both joints, without which all laws of EMG are the same."""
+
+MORE_GAINS = 4
+"""By how many gains of EMG the mixture of laws has more than either, at most."""
 
 EFFECT_ROUNDS = 6
 """Steps after which the search for the differences between trials ends."""
@@ -83,6 +87,8 @@ class Estimate(FitResult):
       largest_real_pole: of arm and environment, over the conditions [1/s].
       chi2: of what the disturbance explains of the residual, see `likelihood.LackOfFit`.
       dof: its degrees of freedom.
+      lack_of_emg: the part of both that EMG has; None without EMG.
+      law: what EMG follows; None without EMG.
       dispersion: how much more parameters vary than noise makes them, at least one [-]. Where all trials have
         perturbations of their own, it is how much more their scores vary, see `trial_effects.scatter`, and intervals
         are those of the arm that explains such perturbations best; else it is `chi2` over `dof`.
@@ -100,6 +106,8 @@ class Estimate(FitResult):
     largest_real_pole: float
     chi2: float
     dof: int
+    lack_of_emg: LackOfFit | None
+    law: Law | None
     dispersion: float
     objective: float
     n_rounds: int
@@ -116,6 +124,12 @@ class Estimate(FitResult):
     def is_suspicious(self) -> bool:
         """Whether the trials say that the structure is wrong, or the person not linear or not always the same."""
         return self.p_value < SUSPICIOUS
+
+    @property
+    def doubts_emg(self) -> bool:
+        """Whether it is EMG, more than the movement, that tells a lack of fit."""
+        emg = self.lack_of_emg
+        return self.is_suspicious and emg is not None and emg.chi2 * self.dof > self.chi2 * emg.dof
 
     def unit_of(self, name: str) -> str:
         """SI unit of a parameter."""
@@ -150,7 +164,14 @@ def _remarks(fit: Estimate) -> tuple[str, ...]:
         said.append("the search could not make a single step: the values are those it started from, without intervals")
     if not fit.stable:
         said.append(f"arm and environment are unstable: largest real part of a pole {fit.largest_real_pole:.2g} 1/s")
-    if fit.is_suspicious:
+    if fit.doubts_emg and fit.lack_of_emg is not None:
+        emg = fit.lack_of_emg
+        moved = (fit.chi2 - emg.chi2) / max(fit.dof - emg.dof, 1)
+        said.append(
+            f"{UNLIKE} (chi2 / dof = {emg.chi2 / emg.dof:.2f} of EMG, {moved:.2f} of the movement): expected muscles "
+            "whose joints and signs are right (signals.emg.muscles of the sidecar); rely on a fit without --emg"
+        )
+    elif fit.is_suspicious:
         said.append(
             "the disturbance explains more of the movement than the model does (chi2 / dof = "
             f"{fit.chi2 / fit.dof:.2f}, p = {fit.p_value:.1g}): wrong structure, or a person who is not linear, "
@@ -177,6 +198,9 @@ def estimate(
 ) -> Estimate:
     """Estimate the arm of one person from the trials of one or several conditions.
 
+    EMG follows the more likely of two laws, `emg_laws.TORQUE` and `emg_laws.STRETCH`; or, where neither fits and that
+    is clearly more likely, the mixture of both.
+
     Args:
       groups: trials, one group per condition.
       method: "frequency" (mean periods; fast) or "record" (all of each trial; best, started from the former).
@@ -188,6 +212,39 @@ def estimate(
       ValueError: there is no group, groups differ in person or posture, a shared name is unknown, an initial value is
         unknown or outside its bounds, or no data identify the structure; the message names the direction.
     """
+    best = _estimate(groups, method, share, initial)
+    if best.law is None or not all(group.structure.mixing[OF_BOTH].any() for group in groups):
+        return best
+    start = {name: value for name, value in best.values.items() if not name.startswith("g_")}
+
+    def better(law: Law, by: float) -> Estimate:
+        """The estimate with another law if its objective is less by that much, else the best one."""
+        try:
+            # Where the best law fits, another one is near it or no match.
+            other = _estimate(
+                [group.under(law) for group in groups], method, share, start, is_near=not best.is_suspicious
+            )
+        except ValueError:  # a law whose gains the trials do not identify
+            return best
+        return other if other.objective < best.objective - by else best
+
+    best = better(STRETCH, 0.0)
+    if best.is_suspicious:
+        best = better(MIXED, float(stats.chi2.isf(SUSPICIOUS, MORE_GAINS)))
+    if best.law is None or best.law is TORQUE:
+        return best
+    return replace(best, remarks=(*best.remarks, f"EMG follows {best.law.text}"))
+
+
+def _estimate(
+    groups: Sequence[Group],
+    method: Method,
+    share: Sequence[str],
+    initial: Mapping[str, float] | None,
+    *,
+    is_near: bool = False,
+) -> Estimate:
+    """As `estimate`, by the law that the EMG of the groups has; where values are near, no other start is tried."""
     require_one_of("estimate", "method", method, get_args(Method))
     if not groups:
         raise ValueError("groups is empty; expected the trials of at least one condition")
@@ -207,7 +264,7 @@ def estimate(
         problem.require_identifiable(first)
     problem.weigh(search.values)
     fit = problem.lack_of_fit(search.values)
-    is_given = initial is not None and len(initial) == len(problem.names)
+    is_given = is_near or (initial is not None and len(initial) == len(problem.names))
     if not is_given and (not search.converged or fit.p_value < SUSPICIOUS):
         starts = [problem.published()]
         if fit.chi2 > LARGE_LACK * fit.dof:
@@ -224,65 +281,6 @@ def estimate(
         problem = JointLikelihood(groups, method, share)
         search = search_best(problem, problem.stabilised(search.values))
     return _judge(problem, method, _with_trial_effects(problem, search))
-
-
-class Sketch(NamedTuple):
-    """A fit that is good enough to compare structures.
-
-    Attributes:
-      values: of the free parameters, (parameter,).
-      objective: as `Estimate.objective`.
-      chi2: as `Estimate.chi2`.
-      dof: its degrees of freedom.
-      scores: what each trial tells at the estimate; of a single trial that is long, each of its segments.
-    """
-
-    values: Array
-    objective: float
-    chi2: float
-    dof: int
-    scores: tuple[TrialScore, ...]
-
-
-def sketch(group: Group, starts: Sequence[Array], method: Method = "record", *, most: int = SKETCH_ROUNDS) -> Sketch:
-    """Fit a structure with few steps and quick derivatives, all trials alike, long ones in `Group.segments`.
-
-    Where delays are free and trials are not hours, the search also starts from the most likely values with usual ones.
-
-    Args:
-      group: the trials and the structure.
-      starts: values of the free parameters, the most likely of which the search starts from, (parameter,) each.
-      method: of the likelihood, see `estimate`.
-      most: steps after which the search ends in any case.
-    """
-    problem = JointLikelihood([group], method, (), sketchy=True)
-    stable = [problem.stabilised(np.clip(start, problem.lower, problem.upper)) for start in starts]
-    start = min(stable, key=problem.objective)
-    ends = [search_from(problem, start, settled=SKETCHED, most=most).values]
-    seconds = sum(part.n_trials * part.end / part.rate for part in group.parts)
-    if seconds < PLENTY and any(name.startswith("Td_") for name in problem.names):
-        usual = with_usual_delays(problem)
-        ends.append(search_from(problem, usual, settled=SKETCHED, most=most).values)
-    values = min(ends, key=problem.objective)
-    objective = problem.objective(values)
-    fit = problem.lack_of_fit(values)
-    scores = problem.scores(values, problem.no_effects())
-    n_trials = sum(part.n_trials for part in group.parts)
-    if 1 < n_trials < problem.n_trials:
-        scores = _of_whole_trials(scores, group)
-    return Sketch(values, objective, fit.chi2, fit.dof, tuple(scores))
-
-
-def _of_whole_trials(scores: Sequence[TrialScore], group: Group) -> list[TrialScore]:
-    """The scores of segments, those of a trial together."""
-    left, summed = iter(scores), []
-    for part, likelihood in zip(group.of_records, group.segments, strict=True):
-        for _ in range(part.n_trials):
-            same = [next(left) for _ in range(likelihood.n_trials // part.n_trials)]
-            score = np.sum([each.score for each in same], axis=0)
-            information = np.sum([each.information for each in same], axis=0)
-            summed.append(same[0]._replace(score=score, information=information))
-    return [*summed, *left]
 
 
 def profile(
@@ -306,7 +304,7 @@ def profile(
     Raises:
       ValueError: the parameter is unknown, or a point is outside its bounds.
     """
-    problem = JointLikelihood(groups, fitted.method, share)
+    problem = JointLikelihood([group.under(fitted.law) for group in groups], fitted.method, share)
     if name not in problem.names:
         raise ValueError(f"no parameter {name!r}; expected one of {', '.join(problem.names)}")
     column = problem.names.index(name)
@@ -412,6 +410,8 @@ def _judge(problem: JointLikelihood, method: Method, search: Searched) -> Estima
         largest_real_pole=pole,
         chi2=fit.chi2,
         dof=fit.dof,
+        lack_of_emg=problem.lack_of_emg(values, search.effects),
+        law=next((group.emg.law for group in problem.groups if group.emg), None),
         dispersion=dispersion,
         objective=objective,
         n_rounds=search.n_rounds,

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from armperturb.analysis.emg.activity import Activity, activity, relaxation_sentence
-from armperturb.analysis.emg.envelope import Envelopes
+from armperturb.analysis.emg.envelope import REST, Envelopes
 from armperturb.analysis.emg.onset import Onsets, onsets
 from armperturb.analysis.emg.reflex import Reflexes, reflexes
 from armperturb.analysis.results import Description
@@ -55,7 +55,8 @@ def emg_section(
     responses = _responses(envelopes, trials, arms, left_out)
     of_pulses = _onsets(envelopes, trials, arms, left_out)
     labels = envelopes.labels
-    relaxed = list(dict.fromkeys(labels["condition"][labels["task"] == "RT"]))
+    # What noise is taken from is no test of relaxation.
+    relaxed = list(dict.fromkeys(labels["condition"][(labels["task"] == "RT") & (labels["condition"] != REST)]))
     shown = labels["condition"].isin(list(trials)).to_numpy()
     tables = {"emg_activity": of_muscles.describe()}
     pictures = {

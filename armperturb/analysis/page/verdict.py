@@ -11,7 +11,7 @@ from armperturb.analysis.fit.diagnosis import Diagnosis
 from armperturb.analysis.fit.emg_likelihood import FEW_WITH_EMG, UNTIMELY
 from armperturb.analysis.fit.frequency_bands import BandOfLack
 from armperturb.analysis.fit.identify import Identification
-from armperturb.analysis.fit.maximum_likelihood import LARGE_LACK, SKEWED, SUSPICIOUS, Estimate
+from armperturb.analysis.fit.maximum_likelihood import LARGE_LACK, SKEWED, SUSPICIOUS, UNLIKE, Estimate
 from armperturb.analysis.fit.trial_effects import ASSUMED
 from armperturb.analysis.fit.whittle import LackOfFit
 from armperturb.analysis.imbalance import Imbalance, Kind
@@ -129,6 +129,9 @@ def _of_fit(identification: Identification, bands: Sequence[BandOfLack]) -> Verd
     if not isinstance(fit.detail, Estimate):
         return Verdict("care", "The thesis's estimator gives no test of fit: judge by the variance accounted for.")
     lack = LackOfFit(fit.detail.chi2, fit.detail.dof)
+    if fit.detail.doubts_emg:
+        level: Literal["care", "reject"] = "reject" if lack.chi2 > LARGE_LACK * lack.dof else "care"
+        return Verdict(level, f"{UNLIKE} ({numbers_of(lack)}). Rely on a fit without --emg.")
     if len(fit.detail.arms) > 1:
         lack = LackOfFit(sum(band.chi2 for band in bands), max(8 * len(bands) - len(fit.values), 1))
     ratio, numbers = lack.chi2 / lack.dof, numbers_of(lack)
@@ -166,6 +169,16 @@ def likely_causes(
     arm, bands = identification.fit.arm, diagnosis.bands
     above, middle = _share(bands, REFLEXES[1], math.inf), _share(bands, *REFLEXES)
     causes = []
+    detail = identification.fit.detail
+    if isinstance(detail, Estimate) and detail.doubts_emg:
+        causes.append(
+            Cause(
+                "EMG",
+                f"{UNLIKE}: the lack of fit is that of EMG more than that of the movement.",
+                "Fit without --emg; check the muscles' joints and signs (signals.emg.muscles of the sidecar).",
+                True,
+            )
+        )
     time, error = check.skew
     if check.imbalance is not None:
         late = math.isfinite(check.imbalance.delay)

@@ -102,6 +102,30 @@ def test_amplitudes_are_relative_to_the_maximal_contraction_and_above_the_noise(
     np.testing.assert_allclose(result.reference_volts, 1.0, rtol=0.08)
 
 
+def levels_of(level, conditions, **options):
+    """Trials of two muscles of given levels, (trial,), of which a silent channel has 5e-3."""
+    level = np.array(level)[:, None, None] * np.ones((1, 2, 1))
+    volts = level * noise((len(level), 2, N)) + 5e-3 * np.random.default_rng(1).standard_normal((len(level), 2, N))
+    return envelopes(recorded(volts, conditions), **options)
+
+
+@pytest.mark.parametrize(
+    ("level", "said"),
+    [
+        ((1.0, 0.3, 0.3, 0.0), ()),
+        ((0.15, 0.3, 0.3, 0.0), ("% of maximal contraction in PT; expected at most 100 %",)),
+        ((0.0, 0.3, 0.3, 0.0), ("MVC is hardly above the noise", "% of maximal contraction in PT")),
+        ((1.0, 0.3, 0.0, 0.0), ("nothing but noise in trial 2, though it is active in others of PT",)),
+        ((1.0, 0.05, 0.05, 0.05), ("the trials of REST have the spectrum of an active muscle",)),
+    ],
+)
+def test_amplitudes_that_are_doubtful_are_named(level, said):
+    remarks = levels_of(level, ["MVC", "PT", "PT", "REST"]).doubtful
+    for part in said:
+        assert any(part in remark for remark in remarks), part
+    assert bool(remarks) == bool(said)
+
+
 def test_envelope_is_in_step_with_signals_that_are_later_or_earlier():
     recording = recorded((0.3 + 0.2 * np.sin(2 * np.pi * 4.0 * TIME)) * noise((10, 2, N)))
     wave = np.exp(-2j * np.pi * 4.0 * np.arange(N // 10) / RATE)

@@ -13,8 +13,8 @@ DELAY = 0.034
 PULSES = np.linspace(1.5, 2.5, N_TRIALS)
 
 
-def person(seed, gain=0.6, saturation=np.inf, spread=0.0):
-    """A shoulder that pulses push towards flexion, which stretches the extensor."""
+def person(seed, gain=0.6, saturation=np.inf, spread=0.0, *, unloads=False):
+    """A shoulder that pulses push towards flexion, which stretches the extensor; and may silence the flexor."""
     rng = np.random.default_rng(seed)
     time = np.arange(N) / EMG_RATE
     # A half-sine of force for 80 ms gives a mass a velocity, which a damper takes; and slow, small movement.
@@ -25,7 +25,8 @@ def person(seed, gain=0.6, saturation=np.inf, spread=0.0):
     seen = velocity / (1.0 + np.abs(velocity) / saturation)
     late = np.array([np.interp(time - DELAY, time, each) for each in seen])
     drive = gain * (1.0 + spread * rng.uniform(-1.0, 1.0, (N_TRIALS, 1))) * late
-    amplitude = 0.1 + np.stack([np.clip(-drive, 0.0, None), np.clip(drive, 0.0, None)], axis=1)
+    both = np.stack([-drive, drive], axis=1)
+    amplitude = np.maximum(0.1 + (both if unloads else np.maximum(both, 0.0)), 0.0)
     volts = amplitude * noise((N_TRIALS, 2, N), seed)
     recording = recorded(volts, pulse_onset=PULSES.tolist(), pulse_direction=[20.0] * N_TRIALS)
     joints = np.stack([angle[:, ::10], np.zeros_like(angle[:, ::10])], axis=2)
@@ -52,6 +53,16 @@ def test_latency_is_the_delay_that_was_made(saturation, spread):
         assert abs(error) < 2.0 * half
 
 
+@pytest.mark.slow(reason="simulates many responses")
+def test_shortening_may_silence_muscles_and_is_no_stretch_reflex():
+    rows = [answers(person(seed, unloads=True))[1] for seed in range(4)]
+    for each in rows:
+        assert each.loc["flexor", "p"] < 1e-6
+        assert np.isnan(each.loc["flexor", "latency_s"])
+    lower, upper = np.array([each.loc["extensor", ["lower_95_s", "upper_95_s"]] for each in rows], dtype=float).T
+    assert np.sum((lower <= DELAY) & (upper >= DELAY)) >= 3
+
+
 def test_a_muscle_that_is_not_stretched_does_not_answer():
     result, rows = answers(person(0))
     assert np.isnan(rows.loc["flexor", "latency_s"])
@@ -65,7 +76,7 @@ def test_a_muscle_that_is_not_stretched_does_not_answer():
 def test_no_reflex_has_no_latency():
     result, rows = answers(person(1, gain=0.0))
     assert rows["latency_s"].isna().all()
-    assert "no muscle answers clearly (p < 1e-06)" in result.summary()
+    assert "no muscle that pulses stretch answers clearly (p < 1e-06)" in result.summary()
 
 
 def test_trials_without_pulses_are_refused():

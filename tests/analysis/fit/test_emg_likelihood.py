@@ -9,12 +9,14 @@ from scipy import signal
 from armperturb.analysis.arm.geometry import hand_jacobian
 from armperturb.analysis.arm.parameters import PARAMETERS, parameter_vector
 from armperturb.analysis.emg.outputs import ReflexOutputs
+from armperturb.analysis.fit.emg_laws import MIXED, STRETCH, TORQUE
 from armperturb.analysis.fit.emg_likelihood import ElectromechanicalDelay, EmgLikelihood
 from armperturb.subject import POSITION
 
 RATE, N, N_TRIALS = 200.0, 4000, 3
 ARM = replace(POSITION, Td_s=0.034, Td_e=0.027)
 GAINS = {"g_s": 0.02, "g_e": 0.016, "g_bs": 0.008, "g_be": 0.011}
+OTHERS = {"g_b": 0.012, "g_sb": 0.005, "g_eb": 0.006}
 FREE = ("kv_s", "kv_se", "kv_e", "kp_s", "kp_se", "kp_e", "Td_s", "Td_e")
 
 
@@ -65,7 +67,7 @@ def mixing(likelihood, free=FREE):
 
 
 def at(likelihood, arm=ARM, **values):
-    own = {**GAINS, "T_em": 0.0} | values
+    own = {**GAINS, **OTHERS, "T_em": 0.0} | values
     return np.append(parameter_vector(arm), [own[name] for name in likelihood.names])
 
 
@@ -79,9 +81,9 @@ def steps(likelihood, values, free, n=6):
     return mix.T @ values, np.sqrt(np.diag(np.linalg.inv(normal.information)))
 
 
-@pytest.mark.parametrize("of_handle", [False, True])
-def test_slope_is_that_of_the_cost(of_handle):
-    likelihood = EmgLikelihood(outputs(of_handle=of_handle), ElectromechanicalDelay(mean=0.0, sd=0.01))
+@pytest.mark.parametrize(("of_handle", "law"), [(False, TORQUE), (True, TORQUE), (False, STRETCH), (True, MIXED)])
+def test_slope_is_that_of_the_cost(of_handle, law):
+    likelihood = EmgLikelihood(outputs(of_handle=of_handle), ElectromechanicalDelay(mean=0.0, sd=0.01), law)
     free = (*FREE, "ka_s", "ka_se", "ka_e", *likelihood.names, *(("b_h", "k_h") if of_handle else ()))
     mix = mixing(likelihood, free)
     values = at(likelihood, replace(ARM, kv_s=18.0, Td_e=0.03, ka_se=0.1), T_em=0.002)
@@ -118,6 +120,18 @@ def test_a_grip_that_gives_way_is_taken_out_of_the_handle():
 def test_start_is_least_squares_of_the_gains():
     likelihood = EmgLikelihood(outputs(noise=1e-6), ElectromechanicalDelay())
     np.testing.assert_allclose(likelihood.start(parameter_vector(ARM)), list(GAINS.values()), rtol=2e-3)
+
+
+def test_the_mixture_of_laws_holds_each_of_them():
+    alike = replace(ARM, Td_e=ARM.Td_s)
+    mixed, torque, stretch = (
+        EmgLikelihood(outputs(), ElectromechanicalDelay(), law) for law in (MIXED, TORQUE, STRETCH)
+    )
+    none = dict.fromkeys((*GAINS, *OTHERS), 0.0)
+    of_torque = {**GAINS, "g_sb": GAINS["g_s"], "g_eb": GAINS["g_e"], "g_b": GAINS["g_bs"] + GAINS["g_be"]}
+    for law, gains in ((torque, of_torque), (stretch, {name: (GAINS | OTHERS)[name] for name in stretch.names})):
+        expected = law._predicted(at(law, alike))
+        np.testing.assert_allclose(mixed._predicted(at(mixed, alike, **none | gains)), expected, rtol=1e-9)
 
 
 def test_muscles_that_answer_late_are_told_by_delay_of_the_emg_alone():

@@ -11,8 +11,9 @@ from armperturb.analysis.fit import group as group_module
 from armperturb.analysis.fit.group import Group
 from armperturb.analysis.fit.identify import identify
 from armperturb.analysis.fit.ladder import choose_structure, left_out_loss
-from armperturb.analysis.fit.maximum_likelihood import estimate, sketch
+from armperturb.analysis.fit.maximum_likelihood import estimate
 from armperturb.analysis.fit.own_structures import composed
+from armperturb.analysis.fit.sketch import sketch
 from armperturb.analysis.fit.trial_effects import TrialScore
 from armperturb.convert.importer import import_recording
 

@@ -7,10 +7,11 @@ import pytest
 
 from armperturb.analysis.emg.envelope import envelopes
 from armperturb.analysis.emg.outputs import reflex_outputs
+from armperturb.analysis.fit.emg_laws import STRETCH, TORQUE
 from armperturb.analysis.fit.emg_likelihood import FEW_WITH_EMG, UNTIMELY, ElectromechanicalDelay, EmgLikelihood
 from armperturb.analysis.fit.group import Group
 from armperturb.analysis.fit.joint_likelihood import JointLikelihood
-from armperturb.analysis.fit.maximum_likelihood import estimate
+from armperturb.analysis.fit.maximum_likelihood import UNLIKE, estimate
 from armperturb.analysis.fit.structures import structure_of
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.controllers.remnant import HUMAN_NOISE
@@ -68,6 +69,55 @@ def test_slopes_of_long_records_are_those_of_the_derivatives(group, monkeypatch)
     np.testing.assert_allclose(problem.normal(values).slope, slope, rtol=0, atol=1e-8 * np.abs(slope).max())
     problem.quick = True
     assert np.abs(problem.normal(values).slope - slope).max() > 1e-4 * np.abs(slope).max()
+
+
+def by_stretch(outputs, noise=0.02):
+    """The same trials with EMG of muscles each of which follows its own stretch, as the arm has it."""
+    rng, rate = np.random.default_rng(0), outputs.rate
+    q = outputs.rotation
+    groups = {
+        "s": (q[..., 0], POSITION.kv_s - POSITION.kv_se, POSITION.kp_s - POSITION.kp_se),
+        "e": (q[..., 1], POSITION.kv_e - POSITION.kv_se, POSITION.kp_e - POSITION.kp_se),
+        "se": (q.sum(axis=2), POSITION.kv_se, POSITION.kp_se),
+    }
+    made = np.empty_like(outputs.difference)
+    frequency = np.fft.rfftfreq(2 * q.shape[1], 1.0 / rate)
+    late = np.exp(-2j * np.pi * frequency * POSITION.Td_s)
+    for place, name in enumerate(outputs.groups):
+        stretch, kv, kp = groups[name]
+        seen = kv * np.gradient(stretch, 1.0 / rate, axis=1) + kp * stretch
+        padded = np.fft.rfft(seen, 2 * q.shape[1], axis=1) * late
+        made[..., place] = 0.05 * np.fft.irfft(padded, axis=1)[:, : q.shape[1]]
+    return replace(outputs, difference=made + noise * rng.standard_normal(made.shape), averaging=1e-6)
+
+
+@pytest.fixture(scope="module")
+def outputs(recording):
+    return reflex_outputs(ConditionTrials.prepare(recording), envelopes(recording))
+
+
+def with_outputs(group, outputs):
+    return group.with_emg(EmgLikelihood(outputs, ElectromechanicalDelay()))
+
+
+@pytest.mark.slow(reason="simulates four trials with EMG")
+def test_muscles_may_follow_their_own_stretch_or_the_torque_of_their_joints(group, outputs):
+    of_stretch, of_torque = estimate([with_outputs(group, by_stretch(outputs))]), estimate([group])
+    assert (of_stretch.law, of_torque.law) == (STRETCH, TORQUE)
+    assert of_stretch.p_value > 0.01
+    assert any(remark.startswith("EMG follows the stretch of each muscle alone") for remark in of_stretch.remarks)
+    for name in ("kv_s", "kv_se", "kv_e", "kp_s", "kp_se", "kp_e"):
+        error = of_stretch.values[name] - getattr(POSITION, name)
+        assert abs(error) < 3.5 * of_stretch.standard_error[name], name
+
+
+@pytest.mark.slow(reason="simulates four trials with EMG")
+def test_emg_that_does_not_fit_is_named_and_not_the_movement(group, outputs):
+    swapped = outputs.difference * np.array([-1.0 if name == "se" else 1.0 for name in outputs.groups])
+    fitted = estimate([with_outputs(group, replace(outputs, difference=swapped))])
+    assert fitted.doubts_emg
+    assert sum(remark.startswith(UNLIKE) for remark in fitted.remarks) == 1
+    assert not any("more of the movement" in remark for remark in fitted.remarks)
 
 
 @pytest.mark.slow(reason="simulates four trials with EMG")

@@ -27,3 +27,11 @@ def test_what_is_left_out_is_said_with_its_reason():
     for line, reason in zip(shown.left_out, REASONS, strict=True):
         assert line.startswith("Not shown: ")
         assert reason in line
+
+
+def test_rest_is_no_test_of_relaxation():
+    """Its noise is what amplitudes are measured from, whatever its task is called."""
+    volts = np.array([0.3, 1.0, 0.0])[:, None, None] * noise((3, 2, 20_000)) + 1e-3 * noise((3, 2, 20_000), 1)
+    recording = recorded(volts, ["PT", "MVC", "REST"], task=["PT", "PT", "RT"])
+    assert not emg_section(envelopes(recording), {}, {}).sentence
+    assert emg_section(envelopes(recorded(volts, ["RT", "MVC", "REST"])), {}, {}).sentence

@@ -20,6 +20,7 @@ from armperturb.analysis.fit.diagnosis import diagnose
 from armperturb.analysis.fit.frequency_bands import BandOfLack
 from armperturb.analysis.fit.group import parts_by_condition
 from armperturb.analysis.fit.identify import Identifications, identify_conditions
+from armperturb.analysis.fit.whittle import LackOfFit
 from armperturb.analysis.imbalance import Imbalance
 from armperturb.analysis.page.data_check import check_data
 from armperturb.analysis.page.page import WORDS, Origin, write_page
@@ -253,6 +254,23 @@ def test_verdicts_in_words(identified):
     assert verdict(fine, right).level == "trust"
     assert verdict(fine, [*right, BandOfLack(2.0, 3.0, 500.0)]).level == "reject"
     assert verdict(with_fit(converged=False), ()).level == verdict(with_fit(stable=False), ()).level == "reject"
+
+
+def test_emg_that_does_not_fit_is_not_blamed_on_the_movement(identified):
+    results, trials = identified
+    (_, found), part = next(iter(results.items())), trials["multisine"]
+    lacking = replace(found.fit.detail, chi2=600.0, dof=200, lack_of_emg=LackOfFit(500.0, 100))
+    lacking = replace(lacking, arms={"multisine": found.fit.arm})
+    wrong = replace(found, fit=replace(found.fit, detail=lacking))
+    said = verdict(wrong, ())
+    assert said.level == "reject"
+    assert said.text.startswith("EMG does not follow from the reflexes that the movement shows")
+    assert "Rely on a fit without --emg" in said.text
+    cause = likely_causes(wrong, check_data(part, 8.0), diagnose(found, part), None)[0]
+    assert (cause.name, cause.supported) == ("EMG", True)
+    moved = replace(lacking, lack_of_emg=LackOfFit(100.0, 100))
+    assert not moved.doubts_emg
+    assert "of the movement than" in verdict(replace(found, fit=replace(found.fit, detail=moved)), ()).text
 
 
 def test_what_is_wrong_with_the_balance_caps_the_verdict(identified):
