@@ -270,11 +270,12 @@ def test_priors_stay_where_only_bounds_change():
 
 
 @pytest.mark.slow(reason="fits trials")
-@pytest.mark.parametrize("free", [("m_h",), ("b_h",), ("k_h",), ("m_h", "b_h")])
-@pytest.mark.parametrize("estimator", ["record", "frequency"])
+@pytest.mark.parametrize(("free", "estimator"), [(("m_h",), "record"), (("b_h",), "frequency")])
 def test_what_alone_is_free_is_estimated(free, estimator, relax_recording):
     known = {name: getattr(RELAX, name) for name in MODEL_3.free if name not in free}
-    fit = identify(relax_recording, MODEL_3.fixing(**known).named("the rest is known"), estimator=estimator).fit
+    fit = identify(
+        relax_recording.isel(trial=[0, 1, 2]), MODEL_3.fixing(**known).named("the rest is known"), estimator=estimator
+    ).fit
     assert fit.converged
     for name in free:
         assert fit.values[name] == pytest.approx(getattr(RELAX, name), rel=0.03)
