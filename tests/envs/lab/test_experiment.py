@@ -481,7 +481,7 @@ def test_memory_grows_by_the_recording_not_by_the_steps():
         (
             mixed_trials()[:1],
             {"rate": 160.0},
-            r"rate = 160.0 Hz; expected .* 400 Hz over a whole number \(the option timestep = 0.00208333333333 goes with this",
+            r"rate = 160.0 Hz; expected .* 400 Hz over a whole number \(the option timestep = 0.00208333333333 goes",
         ),
         (mixed_trials()[:1], {"timestep": 0.0}, "timestep = 0.0; expected a finite number above 0"),
         (mixed_trials()[:1], {"timestep": 0.0125, "rate": 80.0}, "expected at most 36 Hz"),
