@@ -37,7 +37,7 @@ LOG = logging.getLogger(__name__)
 Result = TypeVar("Result")
 
 VERSIONS = {
-    "person": 5,
+    "person": 6,
     "step-2": 5,
     "nonlinear": 4,
     "mechanisms": 1,
@@ -45,7 +45,7 @@ VERSIONS = {
     "figure": 1,
     "played": 1,
     "films": 1,
-    "emg": 11,
+    "emg": 12,
 }
 """Kind of result to the version of its algorithm.
 
