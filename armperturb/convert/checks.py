@@ -95,7 +95,8 @@ def check_different(recordings: Sequence[xr.Dataset], names: Sequence[str], file
     Raises:
       ValueError: a trial is in two files, or has the EMG of another.
     """
-    copies, left_out = copies_of(recordings, alike=False), copies_of(recordings)
+    copies = copies_of(recordings, alike=False)
+    left_out = copies_of(recordings) if copies else {}
     for place, before in copies.items():
         if files[before] != files[place]:
             raise ValueError(f"{names[place]} has the signals of {names[before]}; expected each trial in one file only")
@@ -109,12 +110,17 @@ def check_different(recordings: Sequence[xr.Dataset], names: Sequence[str], file
 
 def _require_own_emg(recordings: Sequence[xr.Dataset], names: Sequence[str], copies: Collection[int]) -> None:
     """Refuse trials that are no copies and have the EMG of another."""
-    trials = [recording.isel(trial=trial) for recording in recordings for trial in range(recording.sizes["trial"])]
+    beginnings = [
+        beginning
+        for each in recordings
+        for beginning in (
+            each["emg"].values[:, :COMPARED_EMG] if "emg" in each.data_vars else [None] * each.sizes["trial"]
+        )
+    ]
     first: dict[bytes, int] = {}
-    for place, trial in enumerate(trials):
-        if "emg" not in trial.data_vars or place in copies:
+    for place, beginning in enumerate(beginnings):
+        if beginning is None or place in copies:
             continue
-        beginning = trial["emg"].values[:COMPARED_EMG]
         before = first.setdefault(beginning.tobytes(), place)
         if before != place and np.ptp(beginning, axis=0).any():
             raise ValueError(

@@ -24,7 +24,7 @@ class Difference(NamedTuple):
 
     @property
     def setting(self) -> str:
-        """What differs in words that do not say of which entry of a list: the first key of it."""
+        """Key of the setting that differs, whichever entry of a list it belongs to."""
         last = max((place for place, key in enumerate(self.keys[:-1]) if key.startswith("[")), default=-1)
         return self.keys[last + 1]
 

@@ -102,7 +102,8 @@ def write_report(
         simulated = dict(zip(simulations, made["simulated"], strict=True))
         yielding, shoulder = simulated.get("mechanisms"), simulated.get("moving-shoulder")
         later = _wanted(drawings_of_yielding(yielding) if yielding else {}, figures)
-        with Progress("figures of the muscle law", total=len(later), unit="figures", show=show_progress) as bar:
+        shown = show_progress and bool(later)
+        with Progress("figures of the muscle law", total=len(later), unit="figures", show=shown) as bar:
             explained = kept_or_computed(picture_units(later, checksums, out), pool, bar)
     drawn = dict(zip([*draws, *later], [*made["drawn"], *explained], strict=True))
     (out / "figures").mkdir(exist_ok=True)
