@@ -43,6 +43,7 @@ class JointLikelihood:
 
     Attributes:
       groups: the trials.
+      method: of the likelihood.
       parts: of which group each likelihood is, and the likelihood.
       names: of the free parameters.
       columns: of each group's free parameters among these.
@@ -53,7 +54,7 @@ class JointLikelihood:
     """
 
     def __init__(self, groups: Sequence[Group], method: Method, share: Sequence[str], *, sketchy: bool = False) -> None:
-        self.groups, self.quick = tuple(groups), sketchy
+        self.groups, self.method, self.quick = tuple(groups), method, sketchy
         every = [
             (at, TrialsWithEmg(likelihood, group.emg) if group.emg else likelihood, trials)
             for at, group in enumerate(self.groups)

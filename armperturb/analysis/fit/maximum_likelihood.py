@@ -6,9 +6,9 @@ Standard errors are those of the Fisher information, near the Cramer-Rao bound, 
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import get_args
+from typing import NamedTuple, get_args
 
 import numpy as np
 from scipy import stats
@@ -25,7 +25,6 @@ from armperturb.analysis.fit.likelihood_search import (
     bounded_step,
     has_unusual_delays,
     search_best,
-    search_from,
     step_size,
     with_usual_delays,
 )
@@ -45,7 +44,6 @@ from armperturb.analysis.force_balance import Skew
 from armperturb.analysis.imbalance import Imbalance
 from armperturb.analysis.numerics.bounds import names_at_bound
 from armperturb.analysis.results import Description, FitResult, limits_of, parameter_table
-from armperturb.arrays import Array
 from armperturb.subject import Subject
 from armperturb.validation import require_one_of
 
@@ -54,6 +52,9 @@ UNLIKE = "EMG does not follow from the reflexes that the movement shows"
 
 OF_BOTH = [MATRIX[name][0, 1] for name in FEEDBACK]
 """Places of the feedback of muscles that cross both joints, without which all laws of EMG are the same."""
+
+CLEAR = 50.0
+"""By how much less the objective of a law of EMG is in mean periods if whole trials need not be asked [-]."""
 
 MORE_GAINS = 4
 """By how many gains of EMG the mixture of laws has more than either, at most."""
@@ -199,7 +200,7 @@ def estimate(
     """Estimate the arm of one person from the trials of one or several conditions.
 
     EMG follows the more likely of two laws, `emg_laws.TORQUE` and `emg_laws.STRETCH`; or, where neither fits and that
-    is clearly more likely, the mixture of both.
+    is clearly more likely, the mixture of both. Where mean periods tell the laws apart, whole trials are fitted by one.
 
     Args:
       groups: trials, one group per condition.
@@ -212,39 +213,61 @@ def estimate(
       ValueError: there is no group, groups differ in person or posture, a shared name is unknown, an initial value is
         unknown or outside its bounds, or no data identify the structure; the message names the direction.
     """
-    best = _estimate(groups, method, share, initial)
-    if best.law is None or not all(group.structure.mixing[OF_BOTH].any() for group in groups):
-        return best
-    start = {name: value for name, value in best.values.items() if not name.startswith("g_")}
-
-    def better(law: Law, by: float) -> Estimate:
-        """The estimate with another law if its objective is less by that much, else the best one."""
-        try:
-            # Where the best law fits, another one is near it or no match.
-            other = _estimate(
-                [group.under(law) for group in groups], method, share, start, is_near=not best.is_suspicious
-            )
-        except ValueError:  # a law whose gains the trials do not identify
-            return best
-        return other if other.objective < best.objective - by else best
-
-    best = better(STRETCH, 0.0)
+    begun = _begun(groups, method, share, initial)
+    if not begun.problem.uses_emg or not all(group.structure.mixing[OF_BOTH].any() for group in groups):
+        return _ended(begun, method, share)
+    likely = sorted((begun, *_under(STRETCH, begun, method, share)), key=lambda each: each.objective)
+    best = _ended(likely[0], method, share)
+    for each in likely[1:]:
+        if each.objective < likely[0].objective + CLEAR:
+            best = min(best, _ended(each, method, share), key=lambda fit: fit.objective)
     if best.is_suspicious:
-        best = better(MIXED, float(stats.chi2.isf(SUSPICIOUS, MORE_GAINS)))
+        for each in _under(MIXED, begun, method, share):
+            mixed = _ended(each, method, share)
+            if mixed.objective < best.objective - float(stats.chi2.isf(SUSPICIOUS, MORE_GAINS)):
+                best = mixed
     if best.law is None or best.law is TORQUE:
         return best
     return replace(best, remarks=(*best.remarks, f"EMG follows {best.law.text}"))
 
 
-def _estimate(
+class Begun(NamedTuple):
+    """Where the search ended in mean periods; where there are none, or no more is asked for, all of an estimate's.
+
+    Attributes:
+      problem: the likelihood.
+      search: its end.
+      objective: as `Estimate.objective`.
+      is_suspicious: as `Estimate.is_suspicious`.
+    """
+
+    problem: JointLikelihood
+    search: Searched
+    objective: float
+    is_suspicious: bool
+
+
+def _under(law: Law, begun: Begun, method: Method, share: Sequence[str]) -> Iterator[Begun]:
+    """The search by another law of EMG, near the end of one; nothing if the trials do not identify its gains."""
+    ends = zip(begun.problem.names, begun.search.values.tolist(), strict=True)
+    near = {name: value for name, value in ends if not name.startswith("g_")}
+    try:
+        # Where one law fits, another one is near it or no match.
+        groups = [group.under(law) for group in begun.problem.groups]
+        yield _begun(groups, method, share, near, is_near=not begun.is_suspicious)
+    except ValueError:
+        return
+
+
+def _begun(
     groups: Sequence[Group],
     method: Method,
     share: Sequence[str],
     initial: Mapping[str, float] | None,
     *,
     is_near: bool = False,
-) -> Estimate:
-    """As `estimate`, by the law that the EMG of the groups has; where values are near, no other start is tried."""
+) -> Begun:
+    """Search by the law that the EMG of the groups has; where values are near, no other start is tried."""
     require_one_of("estimate", "method", method, get_args(Method))
     if not groups:
         raise ValueError("groups is empty; expected the trials of at least one condition")
@@ -277,52 +300,16 @@ def _estimate(
     if not is_given and (has_unusual_delays(problem, search.values) or fit.chi2 > LARGE_LACK * fit.dof):
         again = search_best(problem, with_usual_delays(problem))
         search = min(search, again, key=lambda each: problem.objective(each.values))
-    if first_method != method:
-        problem = JointLikelihood(groups, method, share)
+    return Begun(problem, search, problem.objective(search.values), fit.p_value < SUSPICIOUS)
+
+
+def _ended(begun: Begun, method: Method, share: Sequence[str]) -> Estimate:
+    """The estimate from whole trials, if these are asked for, which may differ."""
+    problem, search = begun.problem, begun.search
+    if problem.method != method:
+        problem = JointLikelihood(problem.groups, method, share)
         search = search_best(problem, problem.stabilised(search.values))
     return _judge(problem, method, _with_trial_effects(problem, search))
-
-
-def profile(
-    groups: Sequence[Group], fitted: Estimate, name: str, points: Sequence[float], *, share: Sequence[str] = ()
-) -> Array:
-    """Profile likelihood of a parameter: the likelihood ratio where it is held and all others are fitted again.
-
-    Trials are taken to be alike: where they differ (`Estimate.trial_spread`), intervals are wider than this tells.
-
-    Args:
-      groups: the trials.
-      fitted: the maximum likelihood estimate.
-      name: of the parameter, as in `Estimate.values`.
-      points: values at which to hold it, SI.
-      share: as it was for the estimate.
-
-    Returns:
-      Twice the logarithm of the likelihood ratio [-], (point,), with the noise as weighed at the estimate. A point
-      belongs to the 95 % interval if it is below 3.84 (times `Estimate.dispersion`).
-
-    Raises:
-      ValueError: the parameter is unknown, or a point is outside its bounds.
-    """
-    problem = JointLikelihood([group.under(fitted.law) for group in groups], fitted.method, share)
-    if name not in problem.names:
-        raise ValueError(f"no parameter {name!r}; expected one of {', '.join(problem.names)}")
-    column = problem.names.index(name)
-    best = np.array([fitted.values[label] for label in problem.names])
-    problem.weigh(best)
-    least = problem.cost(best)
-    bounds = problem.lower.copy(), problem.upper.copy()
-    deviance = np.empty(len(points))
-    for index, point in enumerate(points):
-        if not bounds[0][column] <= point <= bounds[1][column]:
-            raise ValueError(
-                f"{name} = {point!r}; expected {bounds[0][column]:g} to {bounds[1][column]:g} {unit(name.split()[0])}"
-            )
-        problem.lower[column] = problem.upper[column] = point
-        held = search_from(problem, np.clip(best, problem.lower, problem.upper), weighed=0)
-        deviance[index] = problem.cost(held.values) - least
-        problem.lower, problem.upper = bounds[0].copy(), bounds[1].copy()
-    return deviance
 
 
 def _with_trial_effects(problem: JointLikelihood, search: Searched) -> Searched:

@@ -7,7 +7,8 @@ import pytest
 
 from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.analysis.fit.group import Group
-from armperturb.analysis.fit.maximum_likelihood import estimate, profile
+from armperturb.analysis.fit.maximum_likelihood import estimate
+from armperturb.analysis.fit.profile import profile
 from armperturb.analysis.fit.structures import STRUCTURES
 from armperturb.analysis.manipulator import manipulator_covariance
 from armperturb.analysis.trials import ConditionTrials
