@@ -16,7 +16,7 @@ from armperturb.arrays import Array
 from armperturb.study.comparison.headlines import POST_HOC, PULSED
 from armperturb.study.protocol import Condition
 from armperturb.study.published import tables as published
-from armperturb.study.results.mean_admittance import by_task, perturbed_conditions
+from armperturb.study.results.mean_admittance import at_usual_frequencies, by_task, perturbed_conditions
 from armperturb.study.results.quantities import level_name
 from armperturb.study.results.study_result import StudyResult
 from armperturb.study.results.trial_measures import PersonMeasures, muscle_parameter, stable_mean
@@ -198,6 +198,7 @@ def effects(study: StudyResult) -> Effects:
     """All tests that the people and conditions of a study allow."""
     tests = _Tests()
     admittance = {task: effect for task in TASKS if (effect := admittance_effect(study, task)) is not None}
+    tests.remarks += [line for task in admittance for line in _left_out_of_gains(study, task)]
     parameters: dict[tuple[str, str], float] = {}
     for task, of_task in by_task(study).items():
         conditions = tuple(condition.name for condition in of_task)
@@ -335,9 +336,9 @@ def admittance_effect(study: StudyResult, task: str) -> AdmittanceEffect | None:
     """
     conditions = [condition.name for condition in by_task(study).get(task, ())]
     gains: dict[str, dict[str, Array]] = {}
-    for condition in conditions:
-        for case in study.of(condition):
-            gains.setdefault(case.name, {})[condition] = np.abs(case.identified.spectra.arm)
+    alike = at_usual_frequencies(case for condition in conditions for case in study.of(condition))
+    for case in alike:
+        gains.setdefault(case.name, {})[case.condition.name] = np.abs(case.identified.spectra.arm)
     whole = [[of_person[c] for c in conditions] for of_person in gains.values() if len(of_person) == len(conditions)]
     if len(conditions) < 2 or len(whole) < FEWEST:
         return None
@@ -345,7 +346,22 @@ def admittance_effect(study: StudyResult, task: str) -> AdmittanceEffect | None:
     p = np.empty(gain.shape[2:])
     for index in np.ndindex(p.shape):
         p[index] = statistics.effect_of_condition(gain[:, :, *index]).p
-    return AdmittanceEffect(study.of(conditions[0])[0].identified.spectra.frequency, p, statistics.adjacent_effects(p))
+    return AdmittanceEffect(alike[0].identified.spectra.frequency, p, statistics.adjacent_effects(p))
+
+
+def _left_out_of_gains(study: StudyResult, task: str) -> list[str]:
+    """Who is left out of `admittance_effect`, and why."""
+    conditions = [condition.name for condition in by_task(study).get(task, ())]
+    cases = {(case.name, condition): case for condition in conditions for case in study.of(condition)}
+    alike = {(case.name, case.condition.name) for case in at_usual_frequencies(cases.values())}
+    said = []
+    for name in dict.fromkeys(name for name, _ in cases):
+        if lacking := [condition for condition in conditions if (name, condition) not in cases]:
+            said.append(f"gain, {task}: without {name}, who was not identified in {', '.join(lacking)}")
+        elif unlike := [condition for condition in conditions if (name, condition) not in alike]:
+            where = "every condition" if len(unlike) == len(conditions) else ", ".join(unlike)
+            said.append(f"gain, {task}: without {name}, whose frequencies in {where} are not those of most people")
+    return said
 
 
 def _parameter(person: PersonMeasures, condition: str, name: str) -> float:

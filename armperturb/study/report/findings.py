@@ -128,8 +128,17 @@ def excess_rows(study: StudyResult) -> list[Row]:
 
 
 def _ratio(study: StudyResult, name: str, above: str, below: str) -> Finding | None:
-    over, under = low_gains(study, above), low_gains(study, below)
-    return Finding.of(name, above, below, {who: over[who] / under[who] for who in over if who in under})
+    under = {case.name: case for case in study.of(below)}
+    pairs = [(case, under[case.name]) for case in study.of(above) if case.name in under]
+    # Gains fall with frequency: those of other frequencies tell nothing of the person.
+    values = {over.name: low_gain(over) / low_gain(each) for over, each in pairs if _are_alike(over, each)}
+    return Finding.of(name, above, below, values)
+
+
+def _are_alike(first: Case, second: Case) -> bool:
+    """Whether the frequencies of `low_gain` are the same."""
+    lowest, others = (case.identified.spectra.frequency[:N_LOW] for case in (first, second))
+    return lowest.shape == others.shape and np.allclose(lowest, others, rtol=0.02)
 
 
 def findings(study: StudyResult) -> dict[str, Finding]:

@@ -162,7 +162,7 @@ def summary_rows(study: StudyResult, of_parameters: list[Row], of_fits: list[Row
     rows = []
     for condition in study.conditions:
         fits = [row for row in of_fits if row["condition"] == condition.name]
-        used = sum(len(case.single_trials) for case in study.of(condition.name))
+        used = sum(case.identified.n_trials for case in study.of(condition.name))
         rows.append(
             {
                 "condition": condition.name,

@@ -3,6 +3,7 @@
 import logging
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -40,7 +41,8 @@ class Case(Result):
         identified.
       thesis: what the thesis's estimator makes of the same trials; None if it cannot.
       left_out: reasons why trials were left out, or why an estimator gave nothing.
-      single_trials: spectra of each trial behind the identification, averaged over adjacent lines only.
+      single_trials: spectra of each trial behind the identification, averaged over adjacent lines only; none where one
+        trial alone gives none.
       force: RMS force of the multisine per axis in the window of the analysis, pooled over axes and trials [N]; of all
         of a multisine that the protocol makes too short for that window; else NaN if not identified.
       displacement: RMS displacement, likewise [m].
@@ -155,10 +157,14 @@ def _identify(
     if multisine is None or not multisine.n_trials:
         return case, None
     try:
+        identification = identify(multisine, structure_of(LINEAR_MODELS[condition.task]))
+        single_trials: tuple[SpectralEstimate, ...] = ()
+        with suppress(ValueError):  # one trial alone may be too short for spectra of its own
+            single_trials = single_trial_spectra(multisine)
         return replace(
             case,
-            identification=identify(multisine, structure_of(LINEAR_MODELS[condition.task])),
-            single_trials=single_trial_spectra(multisine),
+            identification=identification,
+            single_trials=single_trials,
             force=_rms(multisine.perturbation[:, _window(multisine)]),
             displacement=_rms(multisine.recorded_displacement[:, _window(multisine)]),
         ), multisine

@@ -1,12 +1,14 @@
 """Admittance of a condition over its subjects."""
 
-from collections.abc import Collection
+from collections import Counter
+from collections.abc import Collection, Iterable
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from armperturb.arrays import Array
 from armperturb.study.protocol import Condition
+from armperturb.study.results.cases import Case
 from armperturb.study.results.study_result import StudyResult
 from armperturb.subject import TASKS
 
@@ -48,6 +50,13 @@ def main_conditions(study: StudyResult) -> dict[str, Condition]:
     }
 
 
+def at_usual_frequencies(cases: Iterable[Case]) -> list[Case]:
+    """Those of some cases whose admittance is at the frequencies at which most have it, or of as many, the first."""
+    every = [(case, tuple(np.round(case.identified.spectra.frequency, 3).tolist())) for case in cases]
+    usual = max(counts, key=counts.__getitem__) if (counts := Counter(of_case for _, of_case in every)) else ()
+    return [case for case, of_case in every if of_case == usual]
+
+
 class MeanAdmittance(NamedTuple):
     """Admittance of a condition over its subjects: geometric mean of gains, circular mean of phases.
 
@@ -67,12 +76,12 @@ class MeanAdmittance(NamedTuple):
 
 
 def mean_admittance(study: StudyResult, condition: str) -> MeanAdmittance:
-    """Mean of the estimated admittance over the subjects of a condition.
+    """Mean of the estimated admittance over the subjects of a condition, see `at_usual_frequencies`.
 
     Raises:
       ValueError: no subject was identified in the condition.
     """
-    cases = study.of(condition)
+    cases = at_usual_frequencies(study.of(condition))
     if not cases:
         raise ValueError(f"condition = {condition!r}; expected one in which somebody was identified")
     spectra = [case.identified.spectra for case in cases]
@@ -97,7 +106,7 @@ def mean_curves(study: StudyResult) -> list["Curve"]:
     curves = []
     for condition, colour in zip(study.conditions, colours_for(len(study.conditions)), strict=True):
         mean = mean_admittance(study, condition.name)
-        n = len(study.of(condition.name))
+        n = len(at_usual_frequencies(study.of(condition.name)))
         bands = (
             mean.gain / mean.gain_ratio,
             mean.gain * mean.gain_ratio,

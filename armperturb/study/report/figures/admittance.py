@@ -1,7 +1,7 @@
 """Figures of the estimated admittance (thesis figures 3.1 to 3.6)."""
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,14 @@ from armperturb.plots.style import COLOURS, GREY, INK, PUBLISHED, in_style, new_
 from armperturb.study.published import tables as published
 from armperturb.study.report.figures.axes import Marks, looks, marks_legend, plot_marks, plot_truth
 from armperturb.study.results.cases import Case
-from armperturb.study.results.mean_admittance import by_task, main_conditions, mean_admittance, mean_curves
+from armperturb.study.results.mean_admittance import (
+    MeanAdmittance,
+    at_usual_frequencies,
+    by_task,
+    main_conditions,
+    mean_admittance,
+    mean_curves,
+)
 from armperturb.study.results.study_result import StudyResult
 from armperturb.study.results.trial_measures import N_LOW
 
@@ -103,15 +110,22 @@ def admittance_by_amplitude(study: StudyResult, task: str, marks: Marks | None =
     drawn = looks(task, by_task(study)[task])
     means = [mean_admittance(study, condition.name) for condition, _ in drawn]
     # In the turn of all conditions together, so that noise in one does not part it from the others.
-    near = means[0].frequency, np.exp(1j * np.array([mean.phase for mean in means])).sum(axis=0)
+    near = None
+    if are_alike := _are_alike(means):
+        near = means[0].frequency, np.exp(1j * np.array([mean.phase for mean in means])).sum(axis=0)
     for mean, (condition, look) in zip(means, drawn, strict=True):
         plot_admittance(panels, mean.frequency, mean.gain * np.exp(1j * mean.phase), near, **look, markersize=3.5)
         handles.append(Line2D([], [], label=condition.name, **look))
-    highest = np.max([mean.gain for mean in means], axis=0)
-    for element, masks in (marks or {}).items():
-        plot_marks(panels[element][0], means[0].frequency, 1.7 * highest[:, *element], masks)
+    for element, masks in (marks or {}).items() if are_alike else ():
+        highest = np.max([mean.gain[:, *element] for mean in means], axis=0)
+        plot_marks(panels[element][0], means[0].frequency, 1.7 * highest, masks)
     legend(figure, *handles, *(marks_legend() if marks else ()))
     return figure
+
+
+def _are_alike(means: Sequence[MeanAdmittance]) -> bool:
+    """Whether conditions are known at the same frequencies."""
+    return all(np.array_equal(mean.frequency, means[0].frequency) for mean in means)
 
 
 @in_style()
@@ -136,19 +150,22 @@ def gain_linear_scale(study: StudyResult, marks: Mapping[str, Marks] | None = No
         named.append([Line2D([], [], label=condition.name, **look) for condition, look in drawn])
         ends = (drawn[0][0].name, drawn[-1][0].name)
         shown = means[0].frequency <= HIGHEST
-        frequency, gain = means[0].frequency[shown], 1e3 * np.array([mean.gain[shown] for mean in means])
+        frequency, highest = (
+            means[0].frequency[shown],
+            1e3 * max(mean.gain[mean.frequency <= HIGHEST].max() for mean in means),
+        )
         for ax, element in zip(row, MATRIX_ELEMENTS, strict=True):
-            of_element = gain[:, :, *element]
-            for values, (_, look) in zip(of_element, drawn, strict=True):
-                ax.plot(frequency, values, **{**look, "markersize": 3})
-            if marks and element in marks.get(task, {}):
+            of_element = [1e3 * mean.gain[mean.frequency <= HIGHEST][:, *element] for mean in means]
+            for mean, values, (_, look) in zip(means, of_element, drawn, strict=True):
+                ax.plot(mean.frequency[mean.frequency <= HIGHEST], values, **{**look, "markersize": 3})
+            if marks and element in marks.get(task, {}) and _are_alike(means):
                 differs, clearly = marks[task][element]
-                height = of_element.max(axis=0) + 0.08 * gain.max()
+                height = np.max(of_element, axis=0) + 0.08 * highest
                 plot_marks(ax, frequency, height, (differs[shown], clearly[shown]))
             if element[0] == element[1] and ends == (f"{task}2.5", f"{task}22.5"):
-                expected.append(ax.plot(frequency[:N_LOW], FACTORS[task] * of_element[0, :N_LOW], **EXPECTED))
+                expected.append(ax.plot(frequency[:N_LOW], FACTORS[task] * of_element[0][:N_LOW], **EXPECTED))
         row[0].set_ylabel(f"gain in {task} [mm/N]")
-        row[0].set_ylim(0, 1.16 * gain.max())
+        row[0].set_ylim(0, 1.16 * highest)
     for ax, (output, input_) in zip(panels[0], MATRIX_ELEMENTS, strict=True):
         ax.set_title(f"$|H_{{{AXES[output]}{AXES[input_]}}}|$")
     for ax in panels[-1]:
@@ -192,6 +209,9 @@ def coherence(study: StudyResult) -> Figure:
 
 def _draw_coherence(column: NDArray[np.object_], cases: list[Case]) -> None:
     """The coherence of a condition's displacement along x, and along y below."""
+    cases = [case for case in at_usual_frequencies(cases) if case.single_trials]
+    if not cases:
+        return
     of_subjects = np.stack([np.mean([trial.coherence for trial in case.single_trials], axis=0) for case in cases])
     spread = of_subjects.std(axis=0, ddof=1) if len(of_subjects) > 1 else None
     mean, frequency = of_subjects.mean(axis=0), cases[0].single_trials[0].frequency

@@ -9,7 +9,7 @@ from armperturb.plots.panels import label_frequency
 from armperturb.plots.style import COLOURS, GREY, in_style, new_figure
 from armperturb.study.report.figures.people import draw_people, fit_labels
 from armperturb.study.report.findings import excesses, geometric_mean, low_gain
-from armperturb.study.results.mean_admittance import by_task, main_conditions
+from armperturb.study.results.mean_admittance import at_usual_frequencies, by_task, main_conditions
 from armperturb.study.results.study_result import StudyResult
 
 
@@ -56,7 +56,7 @@ def findings(study: StudyResult) -> Figure:
 def _draw_course(ax: Axes, study: StudyResult) -> None:
     """Gain along x of each task's main condition: people, and their geometric mean with its 95 % interval."""
     for task, condition in main_conditions(study).items():
-        cases = study.of(condition.name)
+        cases = at_usual_frequencies(study.of(condition.name))
         frequency = cases[0].identified.spectra.frequency
         gains = 1e3 * np.abs([case.identified.spectra.arm[:, 0, 0] for case in cases])
         ax.plot(frequency, gains.T, color=COLOURS[task], linewidth=0.5, alpha=0.22)

@@ -54,9 +54,17 @@ def perturbation(case: Case) -> Figure:
 
 
 def _draw_density(ax: Axes, lines: LineSpectra, rate: float) -> None:
-    """Autospectral density of a multisine, mean of both axes, with its bands and its extra clusters."""
-    power = 2.0 * np.mean(np.abs(lines.perturbation[0]) ** 2, axis=-1) / (PERIOD * rate**2)
+    """Autospectral density of a multisine, mean of both axes; of the thesis's, with its bands and extra clusters."""
+    period = float(lines.line[0] / lines.frequency[0])
+    power = 2.0 * np.mean(np.abs(lines.perturbation[0]) ** 2, axis=-1) / (period * rate**2)
     floor = 10 ** np.floor(np.log10(power.min()) - 0.5)
+    ax.set(xscale="log", yscale="log", ylim=(floor, power.max() * 3), title="power of the multisine, each axis")
+    ax.set(ylabel="density [N²/Hz]")
+    label_frequency(ax)
+    if not (np.isclose(period, PERIOD) and np.array_equal(lines.line, np.sort(CLUSTERS.ravel()))):
+        ax.vlines(lines.frequency, floor, power, color=COLOURS["PT"], linewidth=1.2)
+        ax.plot(lines.frequency, power, "o", color=COLOURS["PT"], markersize=2.2)
+        return
     clusters = np.searchsorted(lines.line, CLUSTERS)
     reduced = np.flatnonzero(CLUSTERS[:, 0] / PERIOD > FULL_BAND[1])
     extra = reduced[1:8:2]  # midpoints of the first five of the logarithmic grid
@@ -68,9 +76,6 @@ def _draw_density(ax: Axes, lines: LineSpectra, rate: float) -> None:
         index = clusters[which].ravel()
         ax.vlines(lines.frequency[index], floor, power[index], color=colour, linewidth=1.2)
         ax.plot(lines.frequency[index], power[index], "o", color=colour, markersize=2.2, label=label)
-    ax.set(xscale="log", yscale="log", ylim=(floor, power.max() * 3), title="power of the multisine, each axis")
-    ax.set(ylabel="density [N²/Hz]")
-    label_frequency(ax)
     ax.legend(loc="upper right", handletextpad=0.1)
 
 
