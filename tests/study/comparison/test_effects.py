@@ -10,6 +10,7 @@ from scipy import stats
 
 from armperturb.analysis.measures.statistics import adjacent_effects, effect_of_condition
 from armperturb.study.comparison.effects import admittance_effect, compared_pulses, effects
+from armperturb.study.results.mean_admittance import mean_admittance
 
 NAMES = ("S01", "S02", "S03", "S04", "S05")
 
@@ -146,6 +147,21 @@ def test_whoever_lacks_a_condition_is_left_out_by_name(people, tested):
     assert row(found.rows, quantity="peak displacement", task="PT")["people"] == 4
     assert row(found.rows, quantity="peak displacement", task="RT")["people"] == 5
     assert any("without S01, who has no value in PT2.5" in line for line in found.remarks)
+
+
+def test_gains_at_other_frequencies_are_left_out_by_name(people):
+    study = study_of(people)
+    for case in study.cases:
+        if case.name == "S02" and case.condition.task == "PT":
+            case.identified.spectra.frequency = 1.3 * case.identified.spectra.frequency[:-1]
+            case.identified.spectra.arm = case.identified.spectra.arm[:-1]
+    (line,) = [line for line in effects(study).remarks if line.startswith("gain")]
+    assert line == "gain, PT: without S02, whose frequencies in every condition are not those of most people"
+    others = replace(study, cases=tuple(case for case in study.cases if case.name != "S02"))
+    assert admittance_effect(study, "PT").p == pytest.approx(admittance_effect(others, "PT").p)
+    assert mean_admittance(study, "PT2.5").gain == pytest.approx(mean_admittance(others, "PT2.5").gain)
+    gone = tuple(case for case in study.cases if (case.name, case.condition.name) != ("S03", "RT7.5"))
+    assert "gain, RT: without S03, who was not identified in RT7.5" in effects(replace(study, cases=gone)).remarks
 
 
 @pytest.mark.slow(reason="analyses several studies")
