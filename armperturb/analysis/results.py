@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 LINES, WIDTH = 25, 110
 """Most lines of a result's `repr`, and characters in a line."""
 
+MOST_FACTS = 11
+"""How many of these are above its table."""
+
 PARAMETER_COLUMNS = (
     "parameter", "value", "standard_error", "lower_95", "upper_95", "unit", "at_bound", "condition",
     "subject",
@@ -50,11 +53,20 @@ class Table(NamedTuple):
     columns: tuple[str, ...] = ()
     rows: tuple[tuple[str, ...], ...] = ()
 
-    def lines(self) -> list[str]:
-        """The table for a terminal, header first; none of a table without rows."""
+    def lines(self, most: int | None = None) -> list[str]:
+        """The table for a terminal, header first; none of a table without rows.
+
+        Args:
+          most: characters in a line, beyond which the last columns are left out.
+        """
         if not self.rows:
             return []
         widths = [max(map(len, column)) for column in zip(self.columns, *self.rows, strict=True)]
+        ends = np.cumsum(widths) + 2 * np.arange(len(widths))
+        if most is not None and len(widths) > 1 and ends[-1] > most:
+            n = max(int(np.sum(ends <= most - len("  ..."))), 1)
+            part = Table((*self.columns[:n], "..."), tuple((*row[:n], "...") for row in self.rows))
+            return part.lines()
         padded = [str.ljust, *[str.rjust] * (len(widths) - 1)]
         return [
             "  ".join(pad(cell, width) for pad, cell, width in zip(padded, row, widths, strict=True))
@@ -103,10 +115,12 @@ class Result:
     def __repr__(self) -> str:
         said = self.describe()
         head, remarks = _wrapped([said.title, *said.facts]), _wrapped(_remarks(said.remarks))
-        table = _shortened(said.table.lines(), max(LINES - len(head) - min(len(remarks), 5), 3))
+        if len(head) > MOST_FACTS:
+            head = [*head[: MOST_FACTS - 1], f"... {len(head) - MOST_FACTS + 1} more lines in summary()"]
+        table = _shortened(said.table.lines(WIDTH), max(LINES - len(head) - min(len(remarks), 5), 3))
         left = LINES - len(head) - len(table)
         if len(remarks) > left:
-            remarks = [*remarks[: left - 1], "  ... summary() has the rest"]
+            remarks = [*remarks[: max(left - 1, 0)], "  ... summary() has the rest"]
         return "\n".join([*head, *table, *remarks])
 
     def _repr_html_(self) -> str:

@@ -141,7 +141,8 @@ class Identifications(Result, Mapping[str, Identification]):
             title=f"Arm of {first.arm.name} in {len(self)} condition{'' if len(self) == 1 else 's'}: "
             f"{shared}{ESTIMATOR_NAMES[first.estimator]}",
             facts=tuple(
-                f"{condition}: {'' if shared else models[condition]}{result.n_trials} trials, "
+                f"{condition}: {'' if shared else models[condition]}{result.n_trials} trial"
+                f"{'' if result.n_trials == 1 else 's'}, "
                 f"VAF x {result.vaf[0]:.1f} %, y {result.vaf[1]:.1f} %; {result.fit.message}"
                 for condition, result in self.items()
             ),
@@ -307,14 +308,14 @@ def identify_conditions(
     for parts in conditions.values():
         for part in parts:
             part.check_period(window_start, period)
-    spectra = {
-        label: condition_spectra(parts, window_start=window_start, period=period, lines_per_average=lines_per_average)
-        for label, parts in conditions.items()
-    }
+    spectral: dict[str, Any] = {
+        "window_start": window_start, "period": period, "lines_per_average": lines_per_average
+    }  # fmt: skip
+    spectra = {label: condition_spectra(parts, **spectral) for label, parts in conditions.items()}
     if estimator == "thesis":
         fits = {}
         for label, parts in conditions.items():
-            of_trials = fit_trials(_only(parts), structure, window_start=window_start, period=period)
+            of_trials = fit_trials(_only(parts), structure, **spectral)
             fits[label] = _thesis_fit(of_trials, parts[0], structure, spectra[label])
     else:
         groups = [

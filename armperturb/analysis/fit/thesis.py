@@ -25,7 +25,7 @@ from armperturb.analysis.fit.admittance_problem import Target
 from armperturb.analysis.fit.structures import MODEL_3_WIDE, STRUCTURES, Structure, published_starts, unit
 from armperturb.analysis.measures.vaf import trial_vaf
 from armperturb.analysis.per_trials import per_trials
-from armperturb.analysis.response.spectra import single_trial_spectra
+from armperturb.analysis.response.spectra import LINES_PER_AVERAGE, single_trial_spectra
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.analysis.trials import ConditionTrials, Trials, prepared
 from armperturb.arrays import Array
@@ -171,7 +171,9 @@ def _mean_and_sd(values: Array) -> tuple[Array, Array]:
 
 
 @per_trials
-def _targets(trials: ConditionTrials, *, window_start: float, period: float | None) -> tuple[Target, ...]:
+def _targets(
+    trials: ConditionTrials, *, window_start: float, period: float | None, lines_per_average: int
+) -> tuple[Target, ...]:
     """What a fit of each trial needs."""
     return tuple(
         Target(
@@ -181,7 +183,9 @@ def _targets(trials: ConditionTrials, *, window_start: float, period: float | No
             environment=trials.environment,
             coherence=spectra.coherence,
         )
-        for spectra in single_trial_spectra(trials, window_start=window_start, period=period)
+        for spectra in single_trial_spectra(
+            trials, window_start=window_start, period=period, lines_per_average=lines_per_average
+        )
     )
 
 
@@ -195,6 +199,7 @@ def fit_trials(
     delay: Delay = "pade",
     window_start: float = WINDOW_START,
     period: float | None = None,
+    lines_per_average: int = LINES_PER_AVERAGE,
 ) -> ThesisEstimate:
     """Fit a structure to the admittance of each trial.
 
@@ -209,12 +214,13 @@ def fit_trials(
       delay: "exact", or the thesis's "pade".
       window_start: start of the spectral window [s].
       period: of the disturbance [s]; None to find it.
+      lines_per_average: of each trial's spectra, see `estimate_spectra`.
 
     Raises:
       ValueError: the recording is refused or gives no spectra, or structure or initial are refused.
     """
     ready = prepared(trials)
-    options = (use_penalty, as_published, delay, window_start, period)
+    options = (use_penalty, as_published, delay, window_start, period, lines_per_average)
     key = (fit_trials, structure, tuple((initial or {}).items()), *options)
     if key not in ready.results:
         fits = tuple(
@@ -226,7 +232,7 @@ def fit_trials(
                 delay=delay,
                 as_published=as_published,
             )
-            for target in _targets(ready, window_start=window_start, period=period)
+            for target in _targets(ready, window_start=window_start, period=period, lines_per_average=lines_per_average)
         )
         ready.results[key] = ThesisEstimate(
             structure=fits[0].structure,

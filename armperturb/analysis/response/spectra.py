@@ -191,18 +191,24 @@ def averaged_spectra(
 
 @per_trials
 def single_trial_spectra(
-    trials: ConditionTrials, *, window_start: float = WINDOW_START, period: float | None = None
+    trials: ConditionTrials,
+    *,
+    window_start: float = WINDOW_START,
+    period: float | None = None,
+    lines_per_average: int = LINES_PER_AVERAGE,
 ) -> tuple[SpectralEstimate, ...]:
-    """Admittances and coherence of each trial, averaged over adjacent lines only; arguments as `line_spectra`."""
+    """Admittances and coherence of each trial, averaged over adjacent lines only; arguments as `averaged_spectra`."""
     lines = line_spectra(trials, window_start=window_start, period=period)
-    return tuple(estimate_spectra(lines.of_trial(trial)) for trial in range(trials.n_trials))
+    each = (lines.of_trial(trial) for trial in range(trials.n_trials))
+    return tuple(estimate_spectra(of_trial, lines_per_average=lines_per_average) for of_trial in each)
 
 
 def estimate_spectra(lines: LineSpectra, *, lines_per_average: int = LINES_PER_AVERAGE) -> SpectralEstimate:
     """Estimate admittances and coherence.
 
     Spectra (not gains) are averaged over `lines_per_average` adjacent lines (fewer where the run of lines is shorter, a
-    few more where it leaves a rest) and over all trials.
+    few more where it leaves a rest) and over all trials. Lines are adjacent that are as close as the closest two: of a
+    multisine of odd lines, every second one.
 
     Args:
       lines: Fourier coefficients of trials of one subject in one condition.
@@ -215,7 +221,8 @@ def estimate_spectra(lines: LineSpectra, *, lines_per_average: int = LINES_PER_A
     if lines_per_average < 1:
         raise ValueError(f"lines_per_average = {lines_per_average!r}; expected a whole number of at least 1")
     d, f, x = lines.perturbation, lines.force, lines.displacement
-    runs = np.split(np.arange(len(lines.line)), np.flatnonzero(np.diff(lines.line) > 1) + 1)
+    gaps = np.diff(lines.line)
+    runs = np.split(np.arange(len(lines.line)), np.flatnonzero(gaps > gaps.min(initial=gaps.max(initial=1))) + 1)
     groups = [group for run in runs for group in np.array_split(run, max(1, len(run) // lines_per_average))]
     n_averages = np.array([len(group) * len(d) for group in groups])
     frequency = np.array([lines.frequency[group].mean() for group in groups])

@@ -104,6 +104,9 @@ def test_fits_are_kept_with_their_trials(first):
     assert fit_trials(one, "3b", initial=VARTHETA["vartheta_i4"]) is found
     assert fit_trials(one, "3b") is not found
     assert fit_trials(one, "3b", initial=VARTHETA["vartheta_i4"], use_penalty=False) is not found
+    with pytest.warns(RuntimeWarning, match="as many averages as inputs"):
+        of_pairs = fit_trials(one, "3b", lines_per_average=2)
+    assert of_pairs.fits[0].n_errors == 2 * fit_trials(one, "3b").fits[0].n_errors
 
 
 @pytest.mark.slow(reason="fits from every published start")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from armperturb.analysis.response.spectra import estimate_spectra, line_spectra
+from armperturb.analysis.response.spectra import LineSpectra, estimate_spectra, line_spectra
 from armperturb.recording import make_recording
 
 RATE, PERIOD, START = 200.0, 5.12, 2.0
@@ -197,3 +197,18 @@ def test_a_silent_perturbation_is_named():
     recording, *_ = synthetic(2)
     with pytest.raises(ValueError, match="perturbation is zero from 2 s on"):
         estimate(recording.assign(perturbation=recording["perturbation"] * 0))
+
+
+def test_every_second_line_is_adjacent_to_the_next():
+    """A multisine of odd lines is averaged as one of all lines is."""
+    generator = np.random.default_rng(0)
+    names = ("perturbation", "force", "displacement")
+    signals = {name: generator.standard_normal((2, 12, 4)).view(complex) for name in names}
+    every, odd = (
+        LineSpectra(line=step * np.arange(1, 13), frequency=0.1 * step * np.arange(1, 13), **signals) for step in (1, 2)
+    )
+    for n, n_points in ((4, 3), (6, 2), (12, 1)):
+        assert len(estimate_spectra(odd, lines_per_average=n).frequency) == n_points
+        assert estimate_spectra(odd, lines_per_average=n).total == pytest.approx(
+            estimate_spectra(every, lines_per_average=n).total
+        )
