@@ -58,6 +58,9 @@ HIGHEST = 20.0
 LOW = 6.0
 """Frequency up to which the impedance is that of one stiffness, damping and inertia [Hz]."""
 
+FEWEST_COMPARED = 8
+"""People who must bear the forces of a recording for an arm to be compared with them."""
+
 MATRICES = {"stiffness": "N/m", "damping": "Ns/m", "inertia": "kg"}
 JOINT_UNITS = {"k": "Nm/rad", "b": "Nms/rad", "i": "kg m^2"}
 
@@ -82,7 +85,7 @@ class Likeness(Result):
       table: group, quantity, unit, value, people's mean and SD, the distance in SDs, condition and subject.
       distance: group to the root mean square of its quantities' distances [SD].
       usual: group to the distance from the others within which 95 % of the people lie [SD].
-      remarks: on what the recording's signals show, as those of `response`.
+      remarks: on what the recording's signals show, as those of `response`, and on people who are left out.
     """
 
     label: str
@@ -162,8 +165,8 @@ def compare(
 
     Raises:
       TypeError: recording is no `Dataset`, ideal no truth value, or seed no whole number.
-      ValueError: there is one axis, reference is something else, seed is negative, nobody has the arm's posture, or as
-        `response`.
+      ValueError: there is one axis, reference is something else, seed is negative, nobody has the arm's posture, most
+        people leave the workspace under its forces, or as `response`.
     """
     require_one_of("compare", "reference", reference, REFERENCES)
     require_whole("compare", "seed", seed, at_least=0)
@@ -184,11 +187,24 @@ def compare(
         raise ValueError(
             f"recording: no person has its posture: {error} (--turn-deg turns the axes of a model)"
         ) from None
+    said: tuple[str, ...] = ()
     if reference == "thesis" and ideal:
         of_people = np.stack([arm_admittance(person, frequency) for person in people])
     else:
         recordings = _under_the_same_forces(people, several, seed, linear=reference == "thesis", ideal=ideal)
-        each_estimate = (response(recorded, window_start=WINDOW_START) for recorded in recordings)
+        borne = [each for each in recordings if not any(np.isfinite(one["limit_time"].values).any() for one in each)]
+        if len(borne) < FEWEST_COMPARED:
+            raise ValueError(
+                f"recording: under its forces {len(recordings) - len(borne)} of the {len(recordings)} people beside "
+                f"whom the arm is to stand leave the workspace; expected forces that at least {FEWEST_COMPARED} bear"
+            )
+        if len(borne) < len(recordings):
+            gone = len(recordings) - len(borne)
+            said = (
+                f"{gone} of {len(recordings)} people leave the workspace under these forces: the arm stands beside the "
+                "stiffer ones",
+            )
+        each_estimate = (response(recorded, window_start=WINDOW_START) for recorded in borne)
         of_people = np.stack([estimate.at(frequency).response for estimate in each_estimate])
     arm = people[0] if known else None  # of which only the geometry counts
     values = _quantities(frequency, admittance, arm)
@@ -204,7 +220,7 @@ def compare(
         table=table.assign(**labels_of(first)),
         distance={str(name): value for name, value in _distances(table).items()},
         usual=_usual(each),
-        remarks=estimate.remarks,
+        remarks=(*estimate.remarks, *said),
     )
 
 

@@ -11,8 +11,8 @@ from armperturb.analysis.trials import prepared_condition
 from armperturb.study.comparison.likeness import _under_the_same_forces, impedance_matrices
 
 
-def linear_trial(subject):
-    perturbation = ap.Multisine.draw(rms=3.0, seed=0, crested=False)
+def linear_trial(subject, rms=3.0):
+    perturbation = ap.Multisine.draw(rms=rms, seed=0, crested=False)
     return ap.run_experiment([ap.Trial(subject=subject, perturbation=perturbation)], linear=True)
 
 
@@ -86,6 +86,17 @@ def test_people_have_the_same_noise_in_whatever_order_trials_come():
     forces = [[part["force"].values for part in person] for person in before]
     np.testing.assert_array_equal([[part["force"].values for part in person] for person in after], forces)
     assert not np.array_equal(*forces)  # of two people, the noise differs
+
+
+@pytest.mark.slow(reason="draws people and simulates a trial of each")
+def test_people_who_leave_the_workspace_are_left_out():
+    likeness = ap.compare(linear_trial(ap.RELAX, rms=4.2), "people")
+    (remark,) = [line for line in likeness.remarks if "leave the workspace" in line]
+    n_gone = int(remark.split()[0])
+    assert 0 < n_gone <= 8
+    assert len(likeness.reference_gains) == 16 - n_gone
+    with pytest.raises(ValueError, match=r"of the 16 people .* expected forces that at least 8 bear"):
+        ap.compare(linear_trial(ap.POSITION, rms=30.0).assign_coords(task=("trial", ["RT"])), "people")
 
 
 def test_an_unknown_reference_is_refused():
