@@ -37,12 +37,12 @@ LOG = logging.getLogger(__name__)
 Result = TypeVar("Result")
 
 VERSIONS = {
-    "person": 6,
+    "person": 7,
     "step-2": 5,
     "nonlinear": 4,
     "mechanisms": 1,
     "moving-shoulder": 2,
-    "figure": 1,
+    "figure": 2,
     "played": 1,
     "films": 1,
     "emg": 12,
