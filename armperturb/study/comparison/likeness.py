@@ -192,7 +192,7 @@ def compare(
         of_people = np.stack([arm_admittance(person, frequency) for person in people])
     else:
         recordings = _under_the_same_forces(people, several, seed, linear=reference == "thesis", ideal=ideal)
-        borne = [each for each in recordings if not any(np.isfinite(one["limit_time"].values).any() for one in each)]
+        borne = [each for each in recordings if not any(np.isfinite(part["limit_time"].values).any() for part in each)]
         if len(borne) < FEWEST_COMPARED:
             raise ValueError(
                 f"recording: under its forces {len(recordings) - len(borne)} of the {len(recordings)} people beside "
