@@ -20,33 +20,39 @@ class _Whole:
 
     Attributes:
       shares: stage to its usual share of the time, in any unit.
-      interval: time from a line to the next [s].
+      interval: time from a line to the next, also from one stage's last line to the first of another [s].
+      due: when the next line is due, on the monotonic clock [s].
     """
 
     def __init__(self, shares: Mapping[str, float], interval: float) -> None:
         self.shares, self.interval = shares, interval
-        self._seconds = self._done = 0.0  # spent on stages that have ended, and their shares
+        self.due = time.monotonic() + interval
+        self._seconds = self._done = 0.0  # spent on stages that have ended, and the shares that took them
 
-    def left(self, stage: str, seconds: float, of_stage: float | None) -> float | None:
+    def left(self, stage: str, seconds: float, of_stage: float | None, part: float) -> float | None:
         """Time left of all stages [s]; None if it cannot be known yet.
 
         Args:
           stage: the one at work; those before it have ended, or had nothing to do.
           seconds: how long it has worked [s].
           of_stage: time left of it [s], if known.
+          part: of the stage that was not done before; what was tells nothing of the pace [-].
         """
-        share, names = self.shares.get(stage, 1.0), list(self.shares)
+        share, names = part * self.shares.get(stage, 1.0), list(self.shares)
+        later = sum(self.shares[name] for name in names[names.index(stage) + 1 :]) if stage in names else 0.0
         if of_stage is None:
             if not self._done:
                 return None
             of_stage = share * self._seconds / self._done
-        pace = (self._seconds + seconds + of_stage) / (self._done + share)
-        later = names[names.index(stage) + 1 :] if stage in names else []
-        return of_stage + pace * sum(self.shares[name] for name in later)
+        if not later:
+            return of_stage
+        spent, worked = self._seconds + (seconds + of_stage if share else 0.0), self._done + share
+        return of_stage + spent / worked * later if worked else None
 
-    def end(self, stage: str, seconds: float) -> None:
-        """A stage has ended, after so many seconds."""
-        self._seconds, self._done = self._seconds + seconds, self._done + self.shares.get(stage, 1.0)
+    def end(self, stage: str, seconds: float, part: float) -> None:
+        """A stage has ended, after so many seconds; arguments as of `left`."""
+        if part:
+            self._seconds, self._done = self._seconds + seconds, self._done + part * self.shares.get(stage, 1.0)
 
 
 _WHOLE: contextvars.ContextVar[_Whole | None] = contextvars.ContextVar("whole", default=None)
@@ -92,18 +98,29 @@ class Progress(tqdm):
         if in_lines:
             threading.Thread(target=self._report, daemon=True).start()
 
+    def skip(self, number: float) -> None:
+        """So many were done before: they count as done, and tell nothing of the pace."""
+        self._initial += number
+        self.update(number)
+
     def line(self) -> str:
         """What a log says of it."""
-        left = self._whole.left(self._label, time.monotonic() - self._start, self._left())
+        left = self._whole.left(self._label, time.monotonic() - self._start, self._left(), self._part())
         share = self.n / self.total if self.total else 1.0
         return (
             f"{self._label}: {share:.0%} ({self.n:.0f} of {self.total or 0:.0f} {self.unit}), "
             f"{'time left unknown yet' if left is None else f'{in_words(left)} left of the whole'}"
         )
 
+    def _part(self) -> float:
+        """Which part of the stage was not done before [-]."""
+        return 1.0 - self._initial / self.total if self.total else 0.0
+
     def _left(self) -> float | None:
         """Time left of the stage [s]."""
         now, done = time.monotonic(), self.n - self._initial
+        if self.n >= (self.total or 0):
+            return 0.0
         if done <= 0:
             return None
         # What comes before the first count, such as the practice session, does not slow down the rest.
@@ -118,12 +135,14 @@ class Progress(tqdm):
         """End the stage."""
         if not self._is_closed.is_set():
             self._is_closed.set()
-            self._whole.end(self._label, time.monotonic() - self._start)
+            self._whole.end(self._label, time.monotonic() - self._start, self._part())
         super().close()
 
     def _report(self) -> None:
-        while not self._is_closed.wait(self._whole.interval):
+        whole = self._whole
+        while not self._is_closed.wait(max(whole.due - time.monotonic(), 0.0)):
             print(self.line(), file=sys.stderr, flush=True)
+            whole.due = time.monotonic() + whole.interval
 
 
 def in_words(seconds: float) -> str:

@@ -10,6 +10,7 @@ from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START, Estima
 from armperturb.commands.command import Command, Positional, command_line
 from armperturb.extras import MissingExtraError, naming_the_extra
 from armperturb.files import earlier_removed, endings_of, require_new_results
+from armperturb.progress import Progress
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -275,16 +276,18 @@ class Identify(Command):
             structure = structure.knowing(**inertia_prior(person, *self.body)).named(
                 f"{structure.name}, body from tables"
             )
-        results = identify_conditions(
-            trials,
-            structure,
-            estimator=self.estimator,
-            share=self.share,
-            window_start=self.window_start,
-            period=self.period,
-            lines_per_average=self.lines_per_average,
-            emg=emg,
-        )
+        with Progress("identification", total=len(trials), unit="conditions") as bar:
+            results = identify_conditions(
+                trials,
+                structure,
+                estimator=self.estimator,
+                share=self.share,
+                window_start=self.window_start,
+                period=self.period,
+                lines_per_average=self.lines_per_average,
+                emg=emg,
+                progress=lambda _: bar.update(),
+            )
         # What draws is loaded only now, as it takes memory that fits of long trials need.
         from armperturb.analysis.fit.export import write_arm, write_identification
         from armperturb.analysis.page.page import write_page

@@ -58,5 +58,5 @@ def kept_lines(recalled: Sequence[Path]) -> list[str]:
 
 def analysis_stages(*, nonlinear: bool) -> dict[str, float]:
     """Stages of the analysis of a study and of its report, to their usual shares of the time."""
-    fits = {"nonlinear fits": 300.0} if nonlinear else {}
+    fits = {"nonlinear fits": 300.0, "nonlinear fits with pulses": 300.0} if nonlinear else {}
     return {"analysis": 40.0, **fits, "figures": 12.0, "figures of the muscle law": 1.0}

@@ -1,6 +1,6 @@
 """From a recording to the arm: admittance, environment, arm model and how well it predicts (thesis 2.6, 2.7)."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, get_args
@@ -255,6 +255,7 @@ def identify_conditions(
     period: float | None = None,
     lines_per_average: int = LINES_PER_AVERAGE,
     emg: UseOfEmg | None = None,
+    progress: Callable[[str], object] | None = None,
 ) -> Identifications:
     """Admittance, environment, arm model and its VAF of one subject in every condition.
 
@@ -271,6 +272,7 @@ def identify_conditions(
       period: of the disturbance [s]; None to find it, in each condition.
       lines_per_average: of the spectra, see `estimate_spectra`; maximum likelihood estimates use every line.
       emg: EMG that tells of reflexes as well; with maximum likelihood only. The structure is chosen without it.
+      progress: called with each condition once it has chosen its structure; not at all where `model` is given.
 
     Returns:
       Condition to what it yields, in the order of the recording; those in which nothing perturbs the window, as where
@@ -312,8 +314,8 @@ def identify_conditions(
         "window_start": window_start, "period": period, "lines_per_average": lines_per_average
     }  # fmt: skip
     spectra = {label: condition_spectra(parts, **spectral) for label, parts in conditions.items()}
+    fits: dict[str, ArmFit] = {}
     if estimator == "thesis":
-        fits = {}
         for label, parts in conditions.items():
             of_trials = fit_trials(_only(parts), structure, **spectral)
             fits[label] = _thesis_fit(of_trials, parts[0], structure, spectra[label])
@@ -328,10 +330,10 @@ def identify_conditions(
             return emg.added_to(group, conditions[group.label][0]) if emg else group
 
         if model is None:
-            choices = [
-                choose_structure(*each, estimator, with_emg=with_emg) for each in zip(groups, moved, strict=True)
-            ]
-            fits = {choice.condition: _chosen_fit(choice) for choice in choices}
+            for each in zip(groups, moved, strict=True):
+                fits[each[0].label] = _chosen_fit(choose_structure(*each, estimator, with_emg=with_emg))
+                if progress is not None:
+                    progress(each[0].label)
         elif is_published(structure):
             joint = estimate([with_emg(group) for group in groups], estimator, share=share)
             fits = {group.label: _likely_fit(joint, group, spectra[group.label]) for group in groups}

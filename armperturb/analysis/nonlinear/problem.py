@@ -131,14 +131,25 @@ class Problem(SimulatedTrials):
             total[np.ix_(*(used,) * part.ndim)] += part
         return total
 
-    def normal(self, state: State, predicted: Array, slopes: Sequence[Array] | None = None) -> Normal:
-        """Gauss-Newton equations, by default with the `slopes` there."""
+    def normal(
+        self, state: State, predicted: Array, slopes: Sequence[Array] | None = None, of_trials: Array | None = None
+    ) -> Normal:
+        """Gauss-Newton equations.
+
+        Args:
+          state: where they are.
+          predicted: displacements there, see `predict`.
+          slopes: by default those there.
+          of_trials: `information_of_trials` of these, if it is known already.
+        """
         slopes = slopes or self.slopes(state)
         white, n = self.white(self.residual(predicted)), len(state.point)
         slope = self.gathered(state, [columns @ left for columns, left in zip(slopes, white, strict=True)])
         slope[n:] -= self.prior(state)[n:] * state.effects
         of_emg = self.emg_normal(state)
-        return Normal(self.information(state, slopes, of_emg), slope + of_emg.slope)
+        if of_trials is None:
+            of_trials = self.information_of_trials(state, slopes)
+        return Normal(of_trials + of_emg.matrix + np.diag(self.prior(state)), slope + of_emg.slope)
 
     def unexplained(
         self, state: State, slopes: Sequence[Array], records: Iterable[Sequence[Array]]
@@ -162,11 +173,13 @@ class Problem(SimulatedTrials):
             )
         return left
 
-    def information(self, state: State, slopes: Sequence[Array], of_emg: Normal | None = None) -> Array:
+    def information(self, state: State, slopes: Sequence[Array]) -> Array:
         """Of trials, EMG and prior, were the noise white, (unknown, unknown)."""
-        of_emg = of_emg or self.emg_normal(state)
-        of_movement = self.gathered(state, [columns @ columns.T for columns in slopes])
-        return of_movement + of_emg.matrix + np.diag(self.prior(state))
+        return self.information_of_trials(state, slopes) + self.emg_normal(state).matrix + np.diag(self.prior(state))
+
+    def information_of_trials(self, state: State, slopes: Sequence[Array]) -> Array:
+        """Of the movement alone, (unknown, unknown); the same at all states with these slopes."""
+        return self.gathered(state, [columns @ columns.T for columns in slopes])
 
     def emg_normal(self, state: State, *, as_variance: bool = False) -> Normal:
         """Gauss-Newton equations of the EMG alone; zero without any.

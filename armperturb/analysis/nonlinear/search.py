@@ -8,7 +8,8 @@ last stage, Gauss-Newton steps hold spectrum and derivatives, and estimate the s
 
 The last stage looks for where the derivatives without noise and the residual of predictions in its presence are
 orthogonal (`problem`). So a step of its is taken not if it raises the likelihood, but if less is then left to be gained
-by another step.
+by another step. Spectrum and derivatives are taken anew after a few steps, which moves the maximum, often from one side
+of where it comes to rest to the other and back. So every other time the search goes on from half-way.
 """
 
 from collections.abc import Callable
@@ -42,16 +43,12 @@ NO_GAIN = 0.05
 likelihood rough on the scale of a few tenths of a standard error, so that a search may go on much longer without any
 change that matters."""
 
-MAX_REFERENCES, MAX_FINAL_STEPS, MAX_EXPECTATIONS = 6, 40, 200
-"""Most times that the last stage takes spectrum and derivatives anew, steps with those of the last time, and steps of
-expectation maximisation in each of these. Near instability spectrum and derivatives move the maximum each time that
-they are taken anew, while any of them near it will do."""
+MAX_REFERENCES, FEW_STEPS, MAX_FINAL_STEPS, MAX_EXPECTATIONS = 6, 3, 40, 200
+"""Most times that the last stage takes spectrum and derivatives anew, steps with each of them, steps with those of the
+last time, and steps of expectation maximisation in each of these."""
 
 MOST_CALMED = 3
 """How often noise with which an arm runs away where the search ends is drawn anew, and the search goes on."""
-
-FAR = 0.3
-"""Change of a coordinate from which on this stage takes spectrum and derivatives anew [-]."""
 
 ENOUGH = 1e-3
 """Relative decrease of the cost below which the noise-free stage stops: further steps only fit bias in poorly
@@ -210,8 +207,8 @@ class Search:
     def _finish(self) -> tuple[str, list[Array]]:
         """The last stage; returns how it ended, and with which derivatives."""
         problem = self._problem
+        predicted = problem.predict([self._at.reference])[0]
         while True:
-            predicted = problem.predict([self._at.reference])[0]
             if not np.isfinite(predicted).all():
                 raise ValueError(
                     "nonlinear fit: the arm runs away under the person's noise where the search has come to; expected "
@@ -221,10 +218,16 @@ class Search:
             slopes = problem.slopes(self._at.reference, smooth=True)
             if self._distance():
                 predicted = problem.predict([self._at.state])[0]
-            message = self._descend(slopes, predicted, is_last=self._at.n_references >= MAX_REFERENCES)
+            message, predicted = self._descend(slopes, predicted, is_last=self._at.n_references >= MAX_REFERENCES)
             if message:
                 return message, slopes
-            self._at = replace(self._at, reference=self._at.state, n_references=self._at.n_references + 1)
+            before, state = self._at.reference, self._at.state
+            if self._at.n_references % 2:
+                middle = State((before.point + state.point) / 2.0, (before.effects + state.effects) / 2.0, state.spread)
+                of_middle = problem.predict([middle])[0]
+                if np.isfinite(of_middle).all():
+                    state, predicted = middle, of_middle
+            self._at = replace(self._at, state=state, reference=state, n_references=self._at.n_references + 1)
             self._keep()
 
     def _calmed(self) -> bool:
@@ -249,15 +252,18 @@ class Search:
         """How far the point has come since spectrum and derivatives were taken."""
         return float(np.max(np.abs(self._at.state.point - self._at.reference.point), initial=0.0))
 
-    def _descend(self, slopes: list[Array], predicted: Array, *, is_last: bool) -> str:
-        """Steps with one spectrum and one set of derivatives; returns how they ended, "" if both are wanted anew.
+    def _descend(self, slopes: list[Array], predicted: Array, *, is_last: bool) -> tuple[str, Array]:
+        """Steps with one spectrum and one set of derivatives.
+
+        Returns how they ended, "" if both are wanted anew, and what is predicted there.
 
         Where Gauss-Newton steps lead no nearer, how predictions move in the presence of the noise shows the way.
         """
         problem, mixed = self._problem, None
-        normal = problem.normal(self._at.state, predicted, slopes)
+        of_trials = problem.information_of_trials(self._at.state, slopes)
+        normal = problem.normal(self._at.state, predicted, slopes, of_trials)
         ahead = self._linearised_maximum(self._at.state, normal)
-        for _ in range(MAX_FINAL_STEPS):
+        for number in range(1, MAX_FINAL_STEPS + 1):
             state, (maximum, step, gain) = self._at.state, ahead
             for part in SHORTER:
                 moved = State(
@@ -267,28 +273,33 @@ class Search:
                 )
                 answer = problem.predict([moved])[0]
                 if np.isfinite(answer).all():
-                    there = problem.normal(moved, answer, slopes)
+                    there = problem.normal(moved, answer, slopes, of_trials)
                     ahead = self._linearised_maximum(moved, there, mixed)
                     if ahead.gain < gain:
                         break
             else:  # no part of the step leaves less to be gained
-                if not is_last and (self._distance() or self._calmed_ahead(maximum)):
-                    return ""
+                if not is_last and self._distance():
+                    return "", predicted
+                if not is_last and self._calmed_ahead(maximum):
+                    return "", problem.predict([state])[0]
                 if step < STALLED_STEP or gain < self._difference_of_seeds(slopes, normal):
-                    return CONVERGED
+                    return CONVERGED, predicted
                 if mixed is not None or not problem.is_noisy:
-                    return "no step leads nearer to the maximum"
+                    return "no step leads nearer to the maximum", predicted
                 mixed = mixed_information(problem, state, slopes, problem.slopes(state, noisy=True))
                 ahead = self._linearised_maximum(state, normal, mixed)
                 continue
             self._count(problem.cost(moved, answer), part * step)
-            self._at, normal = replace(self._at, state=moved), there
+            self._at, normal, predicted = replace(self._at, state=moved), there, answer
             self._keep()
-            if step < FINAL_STEP or (step < STALLED_STEP and gain - ahead.gain < NO_GAIN):
-                return CONVERGED
-            if not is_last and (part < 1.0 or self._distance() > FAR):
-                return ""
-        return f"not converged after {MAX_FINAL_STEPS} steps with the same weights and derivatives"
+            if is_last:
+                if step < FINAL_STEP or (step < STALLED_STEP and gain - ahead.gain < NO_GAIN):
+                    return CONVERGED, predicted
+            elif number == 1 and step < FINAL_STEP:
+                return CONVERGED, predicted
+            elif number == FEW_STEPS or ahead.step < FINAL_STEP:
+                return "", predicted
+        return f"not converged after {MAX_FINAL_STEPS} steps with the same weights and derivatives", predicted
 
     def _difference_of_seeds(self, slopes: list[Array], normal: Normal) -> float:
         """What a fit with draws of another seed is expected to have to gain at this state, if this one has nothing."""

@@ -15,6 +15,7 @@ from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Multisine
+from armperturb.perturbations.multisine import PERIOD
 from armperturb.progress import Progress
 from armperturb.study.protocol import Protocol
 from armperturb.study.recording.record import draw_multisines, practised_trials, worker_count
@@ -39,7 +40,10 @@ def cells_of_trials(
     """
     recording = run_experiment([trial for of_person in trials for trial in of_person], environment, **options)
     ends = np.cumsum([len(of_person) for of_person in trials]).tolist()
-    return [measured_cells(recording.isel(trial=slice(*span))) for span in zip([0, *ends], ends, strict=False)]
+    return [
+        measured_cells(recording.isel(trial=slice(*span)), period=PERIOD)
+        for span in zip([0, *ends], ends, strict=False)
+    ]
 
 
 def measure_cohort(

@@ -407,17 +407,18 @@ def _nonlinear(
     """
     fits, stale = dict[Path, NonlinearFit](), dict[Path, str]()
 
-    def add(units: Sequence[_NonlinearUnit]) -> None:
+    def add(units: Sequence[_NonlinearUnit], stage: str) -> None:
         available, reasons = reusable([unit.cached for unit in units])
         stale.update(reasons)
         new = [unit for unit in units if unit.cached.path not in available and unit.task in tasks]
         if new:
-            with Progress("nonlinear fits", total=len(new), unit="fits", show=show_progress) as bar:
+            with Progress(stage, total=len(new), unit="fits", show=show_progress) as bar:
                 for number, fit in computed(new, pool, bar):
                     new[number].checkpoint.unlink(missing_ok=True)
                     available[new[number].cached.path] = fit
         fits.update({unit.cached.path: available[unit.cached.path] for unit in units if unit.cached.path in available})
 
-    add(units)
-    add([more for unit in units if unit.cached.path in fits for more in unit.with_pulses(fits[unit.cached.path])])
+    add(units, "nonlinear fits")
+    more = [unit.with_pulses(fits[unit.cached.path]) for unit in units if unit.cached.path in fits]
+    add(list(itertools.chain.from_iterable(more)), "nonlinear fits with pulses")
     return fits, stale

@@ -37,9 +37,9 @@ LOG = logging.getLogger(__name__)
 Result = TypeVar("Result")
 
 VERSIONS = {
-    "person": 7,
-    "step-2": 5,
-    "nonlinear": 4,
+    "person": 8,
+    "step-2": 6,
+    "nonlinear": 5,
     "mechanisms": 1,
     "moving-shoulder": 2,
     "figure": 2,
@@ -189,7 +189,7 @@ def kept_or_computed(units: Sequence[Unit[Any]], pool: Workers | None, bar: Prog
       RuntimeError: workers die again and again.
     """
     results, _ = reusable([unit.cached for unit in units])
-    bar.update(len(results))
+    bar.skip(len(results))
     missing = [unit for unit in units if unit.cached.path not in results]
     for number, result in computed(missing, pool, bar):
         results[missing[number].cached.path] = result

@@ -9,10 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from armperturb.analysis.cuts import of_condition
-from armperturb.analysis.defaults import LINEAR_MODELS, WINDOW_START
+from armperturb.analysis.defaults import LINEAR_MODELS
 from armperturb.analysis.fit.identify import Identification, identify, identify_conditions
 from armperturb.analysis.fit.maximum_likelihood import Estimate
 from armperturb.analysis.fit.structures import structure_of
@@ -21,9 +20,9 @@ from armperturb.analysis.response.spectra import SpectralEstimate, single_trial_
 from armperturb.analysis.results import Description, Result
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
-from armperturb.perturbations.multisine import PERIOD
 from armperturb.recording_files import load_recording
 from armperturb.study.protocol import NEEDED, Condition, Protocol
+from armperturb.study.results.quantities import multisine_window
 from armperturb.subject import Subject
 
 LOG = logging.getLogger(__name__)
@@ -161,12 +160,13 @@ def _identify(
         single_trials: tuple[SpectralEstimate, ...] = ()
         with suppress(ValueError):  # one trial alone may be too short for spectra of its own
             single_trials = single_trial_spectra(multisine)
+        window = multisine_window(multisine.recording)
         return replace(
             case,
             identification=identification,
             single_trials=single_trials,
-            force=_rms(multisine.perturbation[:, _window(multisine)]),
-            displacement=_rms(multisine.recorded_displacement[:, _window(multisine)]),
+            force=_rms(multisine.perturbation[:, window]),
+            displacement=_rms(multisine.recorded_displacement[:, window]),
         ), multisine
     except ValueError as error:  # must not cost the other people their results
         left_out.append(f"{name} in {condition.name} was not identified: {error}")
@@ -194,12 +194,6 @@ def _by_thesis(
             for condition in conditions:
                 failed[condition] = (f"{name} in {condition} was not identified by the thesis's estimator: {error}",)
     return results, failed
-
-
-def _window(trials: ConditionTrials) -> NDArray[np.bool_]:
-    """Which samples are in the window of the analysis, (time,)."""
-    time = np.arange(trials.n_samples) / trials.rate
-    return np.asarray((time >= WINDOW_START) & (time < WINDOW_START + PERIOD - 1e-9))
 
 
 def _rms(signal: Array) -> float:

@@ -11,13 +11,13 @@
 | F.6 | two repetitions | `peak_rotation_left_s`, `peak_rotation_right_s`, likewise `_e` | rad |
 
 Everything is taken from perturbation and displacement, joints by `armperturb.analysis.measures.kinematics`, and counted
-from the start of the trial. The multisine is measured over one period from `WINDOW_START` on, in which a person's RMS
-pools all trials, and of force and displacement both axes; largest values are means over trials. Peaks are the largest
-values in the window of `armperturb.analysis.measures.pulse`, as means over the trials that a cell pools: repetitions
-and all directions of a level (min 1, max 2), or repetitions and levels of a direction. The thesis numbers levels with
-a sign, negative at 20 deg and positive at 200 deg from the x axis (note d of table 2.1); a pulse to the right is one at
-20 deg, as x points right, whatever the sign, one to the left at 200 deg, and table F.6 has no other directions. The
-pulse unit of table 2.1 is no cell: it is ten times the force of PT7.5.
+from the start of the trial. The multisine is measured over the whole periods from `WINDOW_START` on (one, of the
+thesis's), in which a person's RMS pools all trials, and of force and displacement both axes; largest values are means
+over trials. Peaks are the largest values in the window of `armperturb.analysis.measures.pulse`, as means over the
+trials that a cell pools: repetitions and all directions of a level (min 1, max 2), or repetitions and levels of a
+direction. The thesis numbers levels with a sign, negative at 20 deg and positive at 200 deg from the x axis (note d of
+table 2.1); a pulse to the right is one at 20 deg, as x points right, whatever the sign, one to the left at 200 deg, and
+table F.6 has no other directions. The pulse unit of table 2.1 is no cell: it is ten times the force of PT7.5.
 
 A condition that the thesis does not have fills cells likewise, of what was recorded: of a multisine if the handle is
 perturbed in its window, and of each level of its pulses, by its number. So does a level that the thesis does not have
@@ -34,9 +34,10 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from armperturb.analysis.defaults import WINDOW_START
+from armperturb.analysis.defaults import SETTLED, WINDOW_START
 from armperturb.analysis.measures import kinematics
 from armperturb.analysis.measures.pulse import peak_norm, pulse_span
+from armperturb.analysis.numerics.periodicity import find_period
 from armperturb.arrays import Array
 from armperturb.copied_trials import without_copies
 from armperturb.perturbations.multisine import PERIOD
@@ -115,7 +116,7 @@ def published_cells() -> Mapping[Cell, MeanSD]:
 
 
 def measured_cells(
-    recording: xr.Dataset, *, window_start: float = WINDOW_START, period: float = PERIOD
+    recording: xr.Dataset, *, window_start: float = WINDOW_START, period: float | None = None
 ) -> dict[Cell, float]:
     """Published cells that the recordings of one person fill, SI; `measure` also tells what is missing and why.
 
@@ -123,7 +124,7 @@ def measured_cells(
       recording: trials of one person, of people or simulated, with or without instruments; conditions of the thesis
         that are missing give no cells.
       window_start: start of the multisine's window [s].
-      period: its length [s].
+      period: of the multisine [s]; None to find it in each condition.
 
     Raises:
       ValueError: the recording is refused (see `check_recording`), or holds several people.
@@ -133,7 +134,11 @@ def measured_cells(
 
 
 def measure(
-    recording: xr.Dataset, *, window_start: float = WINDOW_START, period: float = PERIOD, simulated_joints: bool = False
+    recording: xr.Dataset,
+    *,
+    window_start: float = WINDOW_START,
+    period: float | None = None,
+    simulated_joints: bool = False,
 ) -> Measured:
     """As `measured_cells`, with the reasons why trials, or parts of them, fill no cell.
 
@@ -158,8 +163,13 @@ def measure(
     path = _Path(inside, rate, rotation, kinematics.joint_velocities(rotation, rate))
     pools: dict[Cell, dict[str, list[float]]] = {}
     levels: dict[str, set[str]] = {}
-    window = slice(round(window_start * rate), round((window_start + period) * rate))
-    for trial, condition in enumerate(inside["condition"].values.tolist()):
+    conditions = inside["condition"].values
+    windows = {
+        str(each): multisine_window(inside.isel(trial=conditions == each), window_start, period)
+        for each in dict.fromkeys(conditions.tolist())
+    }
+    for trial, condition in enumerate(conditions.tolist()):
+        window = windows[condition]
         of_thesis = condition in published.conditions()
         has_pulse = not np.isnan(inside["pulse_onset"].values[trial])
         parts: list[Callable[[], Iterator[_Value]]] = []
@@ -253,6 +263,29 @@ def _first_sample_from(time: float, rate: float) -> int:
     """
     samples = time * rate
     return round(samples) if math.isclose(samples, round(samples), abs_tol=1e-6) else math.ceil(samples)
+
+
+def multisine_window(recording: xr.Dataset, window_start: float = WINDOW_START, period: float | None = None) -> slice:
+    """Samples in which a condition's multisine is measured: whole periods, one at least.
+
+    Args:
+      recording: trials of one condition.
+      window_start: where they begin [s].
+      period: of the multisine [s]; None to find it. Where nothing repeats, it is the thesis's.
+    """
+    rate, perturbation = float(recording.attrs["rate"]), recording["perturbation"].values
+    onset = recording["pulse_onset"].values
+    ends = np.where(np.isnan(onset), perturbation.shape[1], np.round(onset * rate)).astype(int)
+    if period is None:
+        begin = round(min(window_start, SETTLED) * rate)
+        before = [d[begin:end] for d, end in zip(perturbation, ends, strict=True)]
+        try:
+            period = find_period([d for d in before if len(d) > 1 and d.any()], rate)
+        except ValueError:
+            period = PERIOD
+    first = round(window_start * rate)
+    n_periods = max(int((ends.min() - first + 0.5) // (period * rate)), 1)
+    return slice(first, first + round(n_periods * period * rate))
 
 
 def _is_perturbed(recording: xr.Dataset, trial: int, window: slice) -> bool:
