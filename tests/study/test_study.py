@@ -13,7 +13,7 @@ from armperturb.analysis.trials import trials_by_condition
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
-from armperturb.perturbations import Pulse
+from armperturb.perturbations import Pulse, Sampled
 from armperturb.plots.style import new_figure
 from armperturb.recording_files import load_recording, save_recording
 from armperturb.study.comparison.headlines import headlines
@@ -32,6 +32,7 @@ from armperturb.study.report.tables import (
 from armperturb.study.results import cases
 from armperturb.study.results.cases import identify_person, warn_of_short_multisines
 from armperturb.study.results.mean_admittance import by_task, main_conditions, mean_admittance
+from armperturb.study.results.quantities import Cell, measured_cells
 from armperturb.subject import RELAX
 from tests.studies import FEW_FITS, coarse_study
 
@@ -248,16 +249,39 @@ def test_trials_at_the_workspace_limit_are_left_out_by_name(tmp_path):
 
 def test_multisines_too_short_to_identify_from_are_named(relax_recording, tmp_path):
     brief = Protocol(conditions=(RT,), trial_duration=20.0, multisine_duration=19.0)
-    [case] = identify_person(trials_by_condition(relax_recording), tmp_path / "r.nc", brief)
+    recording = relax_recording.isel(time=slice(0, round(20.0 * float(relax_recording.attrs["rate"]))))
+    recording = recording.assign_coords(pulse_onset=("trial", np.full(recording.sizes["trial"], math.nan)))
+    [case] = identify_person(trials_by_condition(recording), tmp_path / "r.nc", brief)
     assert case.identification is None
     assert case.left_out == (
         "relax in RT7.5 was not identified: the multisine lasts 20 s, and the analysis needs 28.48 s",
     )
-    # Of all of the multisine, which ends with its first pulse.
-    end = round(float(relax_recording["pulse_onset"].min()) * float(relax_recording.attrs["rate"]))
     for value, name in ((case.force, "perturbation"), (case.displacement, "displacement")):
-        signal = relax_recording[name].values[:, :end]
-        assert value == pytest.approx(np.sqrt(np.mean(signal**2)))
+        assert value == pytest.approx(np.sqrt(np.mean(recording[name].values ** 2)))
+
+
+def test_multisines_of_a_shorter_period_are_identified_from_shorter_trials(tmp_path):
+    rate, period, length = 200.0, 8.0, 20.0
+    time = np.arange(round(length * rate)) / rate
+    lines = np.arange(2, 161, 3) / period
+    phase = np.random.default_rng(5).uniform(0.0, 2 * np.pi, (2, len(lines)))
+    force = np.sum(np.cos(2 * np.pi * time[:, None, None] * lines + phase), axis=-1)
+    perturbation = Sampled(force=force, rate=rate)
+    trials = [Trial(subject=RELAX, perturbation=perturbation, condition=RT.name, repetition=n, seed=n) for n in (0, 1)]
+    recording = run_experiment(trials, engine="compiled", rate=rate)
+    [case] = identify_person(
+        trials_by_condition(recording),
+        tmp_path / "r.nc",
+        Protocol(conditions=(RT,), trial_duration=length, multisine_duration=length - 1.0),
+    )
+    assert case.left_out == ()
+    assert case.identified.fit.values["k_s"] == pytest.approx(RELAX.k_s, rel=0.02)
+    whole = slice(round(8.0 * rate), round(16.0 * rate))  # a period from 8 s on
+    for value, name in ((case.force, "perturbation"), (case.displacement, "displacement")):
+        assert value == pytest.approx(np.sqrt(np.mean(recording[name].values[:, whole] ** 2)), rel=1e-6)
+    cells = measured_cells(recording)
+    assert cells[Cell("2.1", RT.name, "rms_force")] == pytest.approx(case.force)
+    assert cells[Cell("2.1", RT.name, "rms_displacement")] == pytest.approx(case.displacement)
 
 
 def test_multisines_too_short_are_warned_of_before_anything_is_recorded(caplog):

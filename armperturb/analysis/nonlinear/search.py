@@ -14,7 +14,7 @@ of where it comes to rest to the other and back. So every other time the search 
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from scipy import linalg
@@ -379,7 +379,9 @@ class Search:
     def _count(self, cost: float, step: float) -> None:
         self._at = replace(self._at, n_steps=self._at.n_steps + 1)
         if self._progress is not None:
-            self._progress(f"step {self._at.n_steps}: cost {cost:.1f}, largest change {step:.2f} SE")
+            stages, stage = get_args(Stage), self._at.stage
+            where = f"{stage}, stage {stages.index(stage) + 1} of {len(stages)}"
+            self._progress(f"step {self._at.n_steps} ({where}): cost {cost:.1f}, largest change {step:.2f} SE")
 
     def _keep(self) -> None:
         if self._save is not None:

@@ -252,7 +252,7 @@ class _Study:
             joined(getattr(person.fits, name) for person in people.values()) for name in ("first", "starts")
         )
         means = means_of(first)
-        short = [condition.name for condition in self.protocol.too_short()]
+        short = {condition.name for condition in self.protocol.too_short()} - {condition for condition, _ in first}
         units = []
         for path in self.paths:
             cached = self._cached(path, "step-2", SecondStep)

@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 
 from armperturb.analysis.cuts import of_condition
-from armperturb.analysis.defaults import LINEAR_MODELS
+from armperturb.analysis.defaults import LINEAR_MODELS, WINDOW_START
 from armperturb.analysis.fit.identify import Identification, identify, identify_conditions
 from armperturb.analysis.fit.maximum_likelihood import Estimate
 from armperturb.analysis.fit.structures import structure_of
@@ -145,7 +145,7 @@ def _identify(
             if trial not in multisine.numbers
         ]
     case = Case(condition=condition, name=name, recording=path, identification=None, left_out=tuple(left_out))
-    if condition in protocol.too_short():
+    if condition in protocol.too_short() and not _holds_a_period(multisine):
         reason = f"the multisine lasts {protocol.multisine_lasts(condition):g} s, and the analysis needs {NEEDED:g} s"
         left_out.append(f"{name} in {condition.name} was not identified: {reason}")
         case = replace(case, left_out=tuple(left_out))
@@ -194,6 +194,17 @@ def _by_thesis(
             for condition in conditions:
                 failed[condition] = (f"{name} in {condition} was not identified by the thesis's estimator: {error}",)
     return results, failed
+
+
+def _holds_a_period(trials: ConditionTrials | None) -> bool:
+    """Whether trials hold a whole period of what perturbs them, which may be shorter than the thesis's."""
+    if trials is None or not trials.n_trials:
+        return False
+    try:
+        trials.window(WINDOW_START, trials.period(WINDOW_START))
+    except ValueError:
+        return False
+    return True
 
 
 def _rms(signal: Array) -> float:

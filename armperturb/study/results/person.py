@@ -43,10 +43,11 @@ def analyse_person(recording: xr.Dataset, path: Path, protocol: Protocol, settin
     """
     conditions = trials_by_condition(recording, is_checked=True)
     cases = identify_person(conditions, path, protocol)
+    identified = {case.condition.name for case in cases if case.identification is not None}
     return PersonResults(
         cases=cases,
         measures=measure_person(recording, conditions, cases),
-        fits=fit_person(conditions, settings, [condition.name for condition in protocol.too_short()]),
+        fits=fit_person(conditions, settings, {condition.name for condition in protocol.too_short()} - identified),
         missing=tuple(missing_trials(recording, protocol)),
     )
 

@@ -9,7 +9,7 @@ from foreign_recordings import draw_foreign
 
 from armperturb.analysis.fit import group as group_module
 from armperturb.analysis.fit.group import Group
-from armperturb.analysis.fit.identify import identify
+from armperturb.analysis.fit.identify import identify, identify_conditions
 from armperturb.analysis.fit.ladder import choose_structure, left_out_loss
 from armperturb.analysis.fit.maximum_likelihood import estimate
 from armperturb.analysis.fit.own_structures import composed
@@ -125,3 +125,10 @@ def test_a_choice_of_structure_shares_nothing():
         ValueError, match=r"identify: estimator = 'thesis' without a model; expected one, e.g. --model 3"
     ):
         identify(recording, estimator="thesis")
+
+
+def test_conditions_are_named_as_they_choose(noisy_relax_recording):
+    said: list[str] = []
+    results = identify_conditions(noisy_relax_recording, estimator="frequency", progress=said.append)
+    assert said == list(results)
+    assert len(said) == 2
