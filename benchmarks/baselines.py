@@ -146,8 +146,8 @@ def main() -> None:
             print(*waiting[future], flush=True)
     results: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for task, method, seed in wanted:
-        kept = training_file(asked.out, task, method, seed).read_text(encoding="utf-8")
-        results.setdefault((task, method), []).append(json.loads(kept))
+        retained = training_file(asked.out, task, method, seed).read_text(encoding="utf-8")
+        results.setdefault((task, method), []).append(json.loads(retained))
     text = table(results)
     (asked.out / "table.md").write_text(text, encoding="utf-8")
     print(text)

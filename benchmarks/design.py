@@ -84,7 +84,7 @@ def errors(plan: Design, played: list[Perturbation], groups: int, name: str) -> 
     structure = ValidateSettings(task=subject.task, model=plan.settings.model_name()).structure()
     structure = at_truth(structure, subject)
     noise = replace(HUMAN_NOISE[subject.task], spread_b=0.0, spread_k=0.0, spread_kv=0.0, spread_kp=0.0)
-    found = np.empty((groups, len(plan.names)))
+    outcome = np.empty((groups, len(plan.names)))
     for group in range(groups):
         trials = [
             Trial(
@@ -100,8 +100,8 @@ def errors(plan: Design, played: list[Perturbation], groups: int, name: str) -> 
             trials, linear=True, instruments=Instruments(marker_noise=None, emg=None), n_threads=1
         )
         result = estimate([Group.prepare(recording, structure)])
-        found[group] = [result.values[parameter] for parameter in plan.names]
-    return found - plan.truth
+        outcome[group] = [result.values[parameter] for parameter in plan.names]
+    return outcome - plan.truth
 
 
 def measured_factor(of: dict[str, Array]) -> float:
@@ -126,15 +126,15 @@ def check(case: str, settings: DesignSettings, groups: int) -> bool:
         )
     columns = [plan.names.index(name) for name in settings.wanted()]
     goal = {name: error[:, columns] for name, error in of.items()}
-    found, rng = measured_factor(goal), np.random.default_rng(0)
+    outcome, rng = measured_factor(goal), np.random.default_rng(0)
     again = [
         measured_factor({name: error[rng.integers(groups, size=groups)] for name, error in goal.items()})
         for _ in range(500)
     ]
-    off = found / plan.factor - 1.0
+    off = outcome / plan.factor - 1.0
     verdict = "met" if abs(off) <= TOLERANCE else "NOT MET"
     print(
-        f"geometric mean of *: predicted {plan.factor:.3f}, measured {found:.3f} +- {np.std(again):.3f}, off by "
+        f"geometric mean of *: predicted {plan.factor:.3f}, measured {outcome:.3f} +- {np.std(again):.3f}, off by "
         f"{100 * off:+.1f} % (at most {100 * TOLERANCE:.0f} %): {verdict}"
     )
     print(", ".join(f"noise {law}: predicted {factor:.3f}" for law, factor in plan.factors.items()))
@@ -146,14 +146,14 @@ def factor_for(plan: Design, person: DesignSettings) -> float:
 
     Both are weakened where they would take this person beyond the limit of displacement.
     """
-    found = []
+    outcome = []
     columns = [plan.names.index(name) for name in plan.settings.wanted()]
     for signal in (plan.thesis, plan.optimised):
         experiment = experiment_at(person, signal.frequency)
         moved = float(experiment.displacement(signal.power).max()) / plan.settings.displacement**2
         information = experiment.information(signal.power / max(1.0, moved))
-        found.append(experiment.standard_error(information, plan.settings.duration)[columns])
-    return float(np.exp(np.mean(np.log(found[1] / found[0]))))
+        outcome.append(experiment.standard_error(information, plan.settings.duration)[columns])
+    return float(np.exp(np.mean(np.log(outcome[1] / outcome[0]))))
 
 
 def other_people(settings: DesignSettings) -> None:

@@ -84,7 +84,7 @@ def recording_of(muscles: str, condition: str, seeds: range) -> xr.Dataset:
 def judge(muscles: str, condition: str, n_people: int) -> None:
     """Detection and levels; trials that reached the workspace limit are left out."""
     began = time.process_time()
-    found: dict[int, list] = {n_trials: [] for n_trials in TRIALS}
+    result: dict[int, list] = {n_trials: [] for n_trials in TRIALS}
     last = FIRST_SEED + n_people
     for first in range(FIRST_SEED, last, BATCH):
         recording = recording_of(muscles, condition, range(first, min(first + BATCH, last)))
@@ -93,16 +93,16 @@ def judge(muscles: str, condition: str, n_people: int) -> None:
             inside = np.flatnonzero(np.isnan(of_person["limit_time"].values))
             for n_trials in TRIALS:
                 if len(inside) >= n_trials:
-                    found[n_trials].append(best_linear(of_person.isel(trial=inside[:n_trials])))
-    for n_trials, every in found.items():
+                    result[n_trials].append(best_linear(of_person.isel(trial=inside[:n_trials])))
+    for n_trials, every in result.items():
         if not every:
             continue
-        statistic = np.array([one.statistic for one in every])
-        level = np.mean([np.abs(one.distortion) <= 1.96 * one.distortion_error for one in every])
-        share = np.median([one.share for one in every], axis=0)
+        statistic = np.array([entry.statistic for entry in every])
+        level = np.mean([np.abs(entry.distortion) <= 1.96 * entry.distortion_error for entry in every])
+        share = np.median([entry.share for entry in every], axis=0)
         print(
             f"  {condition} {muscles}, {n_trials} trials, {len(every)} people: detected (p < 0.05) "
-            f"{np.mean([one.p_value < 0.05 for one in every]):.1%}; statistic {statistic.mean():.2f}, SD "
+            f"{np.mean([entry.p_value < 0.05 for entry in every]):.1%}; statistic {statistic.mean():.2f}, SD "
             f"{statistic.std():.2f}, within 1.96 of zero {np.mean(np.abs(statistic) < 1.96):.1%}, level at a frequency "
             f"{level:.1%}; median share x, y {share[0]:.3f}, {share[1]:.3f}",
             flush=True,

@@ -39,7 +39,7 @@ FURTHER = {
 def ratios(information: np.ndarray, names: Sequence[str], values: dict[str, float]) -> dict[tuple[str, str], float]:
     """(What else is known, gain) to its standard error over that without EMG."""
     before = np.sqrt(np.diag(np.linalg.inv(information)))
-    found = {}
+    result = {}
     for label, known in FURTHER.items():
         size = np.array([values[name] if name.startswith(("kv_", "kp_")) else 0.0 for name in names])
         others = [place for place, name in enumerate(names) if not name.startswith(("Td", "kv_", "kp_", *known))]
@@ -48,8 +48,8 @@ def ratios(information: np.ndarray, names: Sequence[str], values: dict[str, floa
         inverse = change @ np.linalg.inv(change.T @ information @ change) @ change.T
         for place, name in enumerate(names):
             if name.startswith("kv_"):
-                found[label, name] = float(np.sqrt(inverse[place, place]) / before[place])
-    return found
+                result[label, name] = float(np.sqrt(inverse[place, place]) / before[place])
+    return result
 
 
 def main(arguments: Sequence[str] = ()) -> None:
@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] = ()) -> None:
     parser.add_argument("--seed", type=int, default=5)
     options = parser.parse_args(arguments)
     protocol = replace(PROTOCOL, conditions=(THESIS.condition("PT7.5"),), pulse_unit_condition="")
-    found: dict[str, list[float]] = {label: [] for label in FURTHER}
+    result: dict[str, list[float]] = {label: [] for label in FURTHER}
     for number, person in enumerate(draw_cohort(options.people, options.seed, muscles="linear")):
         recording, _ = recorded(person, number, protocol, options.seed)
         group = Group.prepare([trials_by_condition(recording)["PT7.5"]], structure_of("3", wide=True))
@@ -68,8 +68,8 @@ def main(arguments: Sequence[str] = ()) -> None:
         values = np.array([fitted.values[name] for name in problem.names])
         problem.weigh(values)
         for (label, _), ratio in ratios(problem.normal(values).information, problem.names, fitted.values).items():
-            found[label].append(ratio)
-        said = ", ".join(f"{label} {np.median(each):.2f}" for label, each in found.items())
+            result[label].append(ratio)
+        said = ", ".join(f"{label} {np.median(each):.2f}" for label, each in result.items())
         print(f"{number + 1} people, standard error of kv over that without EMG; also known: {said}", flush=True)
 
 

@@ -52,14 +52,14 @@ def main(arguments: Sequence[str] = ()) -> None:
         levels = {name: level for name, level in person.levels.items() if name in MOVED}
         true = true_values(person.subjects["PT"], levels)
         before = time.process_time()
-        for use, found in fits_of(person, number, options.seed, alone=options.alone).items():
-            print(f"{person.name}, {use}: {found.message}, {time.process_time() - before:.0f} CPU s")
-            for name in found.parameters.names:
-                size = found.coordinate_error[name]
-                off = (coordinate(name, found.values[name]) - coordinate(name, true[name])) / size
+        for use, outcome in fits_of(person, number, options.seed, alone=options.alone).items():
+            print(f"{person.name}, {use}: {outcome.message}, {time.process_time() - before:.0f} CPU s")
+            for name in outcome.parameters.names:
+                size = outcome.coordinate_error[name]
+                off = (coordinate(name, outcome.values[name]) - coordinate(name, true[name])) / size
                 errors.setdefault((use, name), []).append((size, off))
                 if stem(name) in REFLEX:
-                    said = f"{found.values[name]:8.3f} ({true[name]:.3f})"
+                    said = f"{outcome.values[name]:8.3f} ({true[name]:.3f})"
                     print(f"    {name:20} {said}, standard error {size:.3f}, off by {off:+.1f}", flush=True)
     for use in dict.fromkeys(use for use, _ in errors):
         for what, of_reflexes in (("reflexes and levels", True), ("all others", False)):

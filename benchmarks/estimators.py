@@ -2,7 +2,7 @@
 
 Run by `python -m benchmarks.estimators`; about 6 min on four idle cores. `--groups 20` takes half as long, `--cases
 "PT, 1 trial"` one case, `--workers 1` one core. All cases but one perturb the linear arm, for which the structure is
-exactly right, so that what is left is the estimators' own; MuJoCo's moves in a circle besides. Judged is greatest
+exactly right, so that what is left is the estimators' own; MuJoCo's moves in a circle besides. Judged is maximum
 likelihood over whole records; the other estimators stand beside it.
 
 A percentage that is below the Cramer-Rao bound, which no unbiased estimator can beat, is no target, and the line says
@@ -130,9 +130,9 @@ def report_errors(case: str, validation: Validation) -> None:
         report(case, target.words, f"<= {target.limit:g}", values, at_bound, values[JUDGED] <= target.limit)
 
 
-def report_trust(found: dict[str, Validation]) -> None:
+def report_trust(result: dict[str, Validation]) -> None:
     """Intervals and convergence, over all cases in which the structure is right."""
-    for case, validation in found.items():
+    for case, validation in result.items():
         rows = validation.to_frame().to_dict("records")
         pooled = {row["estimator"]: row["coverage_percent"] for row in validation.estimators_frame().to_dict("records")}
         least = {
@@ -140,7 +140,7 @@ def report_trust(found: dict[str, Validation]) -> None:
         }
         report(case, "95 % intervals, pooled [%]", "92 to 98", pooled, math.nan, 92.0 <= pooled[JUDGED] <= 98.0)
         report(case, "least of a parameter [%]", ">= 85", least, math.nan, least[JUDGED] >= 85.0)
-    rows = [row for validation in found.values() for row in validation.estimators_frame().to_dict("records")]
+    rows = [row for validation in result.values() for row in validation.estimators_frame().to_dict("records")]
     for name in ("converged", "stable", "global"):
         shares = {
             estimator: float(np.mean([row[f"{name}_percent"] for row in rows if row["estimator"] == estimator]))
@@ -221,8 +221,8 @@ def main() -> None:
         report_trust(right)
     for case, settings in WRONG.items():
         if case in options.cases:
-            found = validate(replace(settings, groups=options.groups), workers=options.workers)
-            report_suspicion(case, found, is_wrong=True)
+            result = validate(replace(settings, groups=options.groups), workers=options.workers)
+            report_suspicion(case, result, is_wrong=True)
     print(f"{time.monotonic() - start:.0f} s in all")
 
 

@@ -135,20 +135,20 @@ def may_fork() -> bool:
 
 def in_a_child(folder: Path) -> bool:
     """Whether this is a child process, in a copy of the current folder at its path; the parent waits for its end."""
-    kept = folder.with_name("kept")
-    os.rename(folder, kept)
-    shutil.copytree(kept, folder)
+    retained = folder.with_name("kept")
+    os.rename(folder, retained)
+    shutil.copytree(retained, folder)
     child = os.fork()
     if child:
         os.waitpid(child, 0)
         shutil.rmtree(folder)
-        os.rename(kept, folder)
+        os.rename(retained, folder)
         return False
     signal.alarm(PATIENCE)
     os.chdir(folder)
     for handle in map(int, os.listdir("/proc/self/fd")):
         with suppress(OSError, ValueError):  # not open any more, or no file of the folder
-            path = folder / Path(os.readlink(f"/proc/self/fd/{handle}")).relative_to(kept)
+            path = folder / Path(os.readlink(f"/proc/self/fd/{handle}")).relative_to(retained)
             own = os.open(path, fcntl.fcntl(handle, fcntl.F_GETFL))
             os.lseek(own, os.lseek(handle, 0, os.SEEK_CUR), os.SEEK_SET)
             os.dup2(own, handle)

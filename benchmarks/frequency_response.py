@@ -98,7 +98,7 @@ def simulate_load(
 def multisines(n: int, seed: int, duration: float = DURATION) -> Array:
     """Thesis multisines of 2 N, (trial, time, axis)."""
     drawn = [Multisine.draw(seed=1000 * seed + i, rms=2.0, duration=duration, crested=False) for i in range(n)]
-    return np.stack([one.sample(RATE, round(duration * RATE)) for one in drawn])
+    return np.stack([entry.sample(RATE, round(duration * RATE)) for entry in drawn])
 
 
 def odd_multisines(n: int, seed: int, duration: float = DURATION) -> Array:
@@ -142,10 +142,10 @@ def accuracy() -> None:
             for seed in range(10):
                 rng = np.random.default_rng(seed)
                 recordings = [simulate_load(d, rng, load=load) for d in draw(seed)]
-                found = estimate_multisine(recordings) if "sines" in name else estimate_noise(recordings)
-                truth = load_admittance(found.frequency, load)
-                relative = np.abs(found.response - truth) / np.abs(truth).max(axis=(1, 2), keepdims=True)
-                errors.append(relative[found.frequency <= TOP].max())
+                result = estimate_multisine(recordings) if "sines" in name else estimate_noise(recordings)
+                truth = load_admittance(result.frequency, load)
+                relative = np.abs(result.response - truth) / np.abs(truth).max(axis=(1, 2), keepdims=True)
+                errors.append(relative[result.frequency <= TOP].max())
             cells.append(f"{100 * max(errors):12.2f}")
         print(f"  {name:26}" + "".join(cells), flush=True)
 
@@ -161,10 +161,10 @@ def coverage() -> None:
                 rng = np.random.default_rng([seed, 3])
                 recording = simulate_load(draw(n_trials, seed), rng, own=0.3)
                 if name == "noise":
-                    found = estimate_noise(recording, frequency=FREQUENCY)
+                    result = estimate_noise(recording, frequency=FREQUENCY)
                 else:
-                    found = estimate_multisine(recording)
-                covered.append(found.covers(load_admittance(found.frequency)))
+                    result = estimate_multisine(recording)
+                covered.append(result.covers(load_admittance(result.frequency)))
             mean = 100 * np.mean(covered, axis=(0, 2, 3))
             print(
                 f"  {name:14} {n_trials} trials: {mean.mean():5.1f} ({mean.min():5.1f} to {mean.max():5.1f}), "

@@ -313,8 +313,8 @@ def fuzz(names: list[str], runs: int, seed: int = 0) -> dict[str, Counter[str]]:
                     if end == "signal":
                         end = f"{outcome(now, case, expected, guarded=True)} by the guarded child"
                     if end.isupper() or "SIGNAL" in end:
-                        kept = shutil.copy(path, Path(tempfile.gettempdir()) / f"fuzz-{os.getpid()}-{path.name}")
-                        print(f"{each}: {end}, see {kept}", flush=True)
+                        retained = shutil.copy(path, Path(tempfile.gettempdir()) / f"fuzz-{os.getpid()}-{path.name}")
+                        print(f"{each}: {end}, see {retained}", flush=True)
                     ends[each][end] += 1
                     shutil.rmtree(now)
                 print(f"{each}: {sum(ends[each].values())} runs, {dict(ends[each])}", flush=True)

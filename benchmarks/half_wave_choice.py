@@ -48,8 +48,8 @@ def judged(seed: int, n_trials: int, *, everything: bool) -> Row:
         known = fixed if law == "half-wave" else {n: v for n, v in fixed.items() if not n.startswith("spindle_t")}
         likelihood = []
         for train, test in (halves, halves[::-1]):
-            found = fit([trials.take(train)], arms, Model(law=law, fixed=known), n_pairs=N_PAIRS_OF_FOLDS)
-            likelihood.append(left_out_likelihood(found, [trials.take(test)], arms))
+            result = fit([trials.take(train)], arms, Model(law=law, fixed=known), n_pairs=N_PAIRS_OF_FOLDS)
+            likelihood.append(left_out_likelihood(result, [trials.take(test)], arms))
         results[law] = Judged(
             model=Model(law=law),
             estimate=None,

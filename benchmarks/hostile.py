@@ -293,7 +293,7 @@ def outcomes(command: str, made: dict[str, Make], good: Path, numbers: list[int]
         yield {"seed": number, "case": case} | outcome(COMMANDS[command], made[case], good, good.parent / "now")
 
 
-def told(command: str, rows: list[Row]) -> Counter[str]:
+def stated(command: str, rows: list[Row]) -> Counter[str]:
     """How often its runs ended in each way; printed, with each fault and the most that any run took."""
     ends = Counter(row["end"].split()[0] if row["end"][0].isupper() else row["end"] for row in rows)
     for row in rows:
@@ -333,7 +333,7 @@ def main(arguments: list[str] | None = None) -> None:
         for command in options.commands or COMMANDS:
             path = keep / f"{command.replace(' ', '_')}.jsonl" if keep else None
             rows = with_kept_rows(path, numbers, partial(outcomes, command, made, good))
-            total += told(command, rows)
+            total += stated(command, rows)
     print(f"all: {dict(total)}")
 
 

@@ -21,8 +21,8 @@ def with_kept_rows(
     """
     rows, seeds = [], set(seeds)
     if path and path.exists():
-        kept = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-        rows = [row for row in kept if row["seed"] in seeds and row.pop("options", {}) == options]
+        retained = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+        rows = [row for row in retained if row["seed"] in seeds and row.pop("options", {}) == options]
     if path:
         path.parent.mkdir(parents=True, exist_ok=True)
     for row in judged(sorted(seeds - {row["seed"] for row in rows})):

@@ -138,14 +138,14 @@ def report(rows: list[dict]) -> None:
         values = "  ".join(f"{name} {row[name][1]:.3g} ({row[name][0]:.3g})" for name in JUDGED)
         print(f"{row['seed']:4}  {'/'.join(row['chosen'])}  chi2/dof {row['chi2/dof']:.2f}  {values}")
     values = np.array([[row[name] for name in JUDGED] for row in rows])
-    truth, found, error, inside = np.moveaxis(values.astype(float), 2, 0)
+    truth, outcome, error, inside = np.moveaxis(values.astype(float), 2, 0)
     print(f"{len(rows)} arms: structure right {100.0 * np.mean([row['right'] for row in rows]):.0f} %")
     print(f"inside 95 %: {100.0 * inside.mean():.1f} %, worst parameter {100.0 * inside.mean(axis=0).min():.1f} %")
-    off = 100.0 * np.abs(found / truth - 1.0)
+    off = 100.0 * np.abs(outcome / truth - 1.0)
     print(
         f"off by {np.median(off):.2f} % (median), at most {off.max():.1f} %; error over standard error (RMS) ", end=""
     )
-    print(f"{np.sqrt(np.mean(((found - truth) / error) ** 2)):.2f}, which is {np.median(error / truth):.2%} (median)")
+    print(f"{np.sqrt(np.mean(((outcome - truth) / error) ** 2)):.2f}, which is {np.median(error / truth):.2%} (median)")
     misfit = np.median([row["chi2/dof"] for row in rows])
     print(f"chi2/dof {misfit:.2f} (median), {sum(row['suspicious'] for row in rows)} flagged")
     times = [f"{np.median([row[name] for row in rows]):.1f} s {name}" for name in ("simulated", "identified")]
@@ -167,9 +167,11 @@ def human() -> None:
         laboratory = around_myoarm(level, joints=("elv_angle_r", "elbow_flexion_r"), turn_deg=180.0)
         recording = laboratory.record([ap.Multisine.draw(rms=1.0, seed=0)])
         for reference in ("thesis", "people"):
-            found = ap.compare(recording, reference, ideal=True)
-            size = found.to_frame().set_index("quantity").loc["stiffness: size"]
-            distances = [f"{name} {found.distance[name]:.1f} ({found.usual[name]:.1f})" for name in found.distance]
+            outcome = ap.compare(recording, reference, ideal=True)
+            size = outcome.to_frame().set_index("quantity").loc["stiffness: size"]
+            distances = [
+                f"{name} {outcome.distance[name]:.1f} ({outcome.usual[name]:.1f})" for name in outcome.distance
+            ]
             stiffness = f"stiffness {np.exp(size['value']):.0f} N/m, theirs {np.exp(size['mean']):.0f}"
             print(f"co-contraction {level:g}, {reference}: {', '.join(distances)}; {stiffness}", flush=True)
 

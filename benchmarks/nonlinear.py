@@ -57,7 +57,7 @@ FITTED_DIRECTION = 20.0
 SUMMARY = {
     "short-range stiffness": "short_range_stiffness",
     "elastic limits": "elastic_limit_deg",
-    "damping that thins": "thinning_velocity",
+    "shear-thinning damping": "thinning_velocity",
     "loss angle": "loss_angle_deg",
     "recovery time": "recovery_time",
 }
@@ -83,8 +83,8 @@ class Results:
 
     def add(self, other: "Results") -> None:
         for name in ("pulses", "errors", "seconds", "verdicts"):
-            for key, found in getattr(other, name).items():
-                getattr(self, name)[key] += found
+            for key, outcome in getattr(other, name).items():
+                getattr(self, name)[key] += outcome
         for part, number in other.unsettled.items():
             self.unsettled[part] += number
 
@@ -96,21 +96,27 @@ class Results:
                 line = f"{condition:12}{len(self.pulses[part, condition, MODELS[0]]):7d}"
                 for model in MODELS:
                     of = self.pulses[part, condition, model]
-                    line += f"{np.median([one.peak for one in of]):10.1f}"
-                    line += f" ({np.median([one.vaf for one in of]):5.1f})"
+                    line += f"{np.median([entry.peak for entry in of]):10.1f}"
+                    line += f" ({np.median([entry.vaf for entry in of]):5.1f})"
                 print(line)
         for part in dict.fromkeys(part for part, _ in self.errors):
             print(f"\n{part}: parameters, n people; error of the logarithm in %, 95 % intervals that hold the truth")
             print(f"{'parameter':34}{'n':>3}{'median':>8}{'mean':>8}{'claimed':>9}{'mean z':>8}{'SD z':>7}{'hold':>6}")
-            of_part = {name: found for (own, name), found in self.errors.items() if own == part}
-            for name, found in of_part.items():
-                print(_line(name, found))
+            of_part = {name: outcome for (own, name), outcome in self.errors.items() if own == part}
+            for name, outcome in of_part.items():
+                print(_line(name, outcome))
             for title, stem in SUMMARY.items():
-                both = [one for name, found in of_part.items() if name.partition(".")[0] == stem for one in found]
+                both = [
+                    entry for name, outcome in of_part.items() if name.partition(".")[0] == stem for entry in outcome
+                ]
                 if both:
-                    told = np.mean([error <= UNCERTAIN for _, error, _ in both])
-                    print(_line(f"all: {title}", both) + f"  told in {100.0 * told:.0f} %")
-            print(_line("all parameters", [one for name, found in of_part.items() if name != RATIO for one in found]))
+                    stated = np.mean([error <= UNCERTAIN for _, error, _ in both])
+                    print(_line(f"all: {title}", both) + f"  told in {100.0 * stated:.0f} %")
+            print(
+                _line(
+                    "all parameters", [entry for name, outcome in of_part.items() if name != RATIO for entry in outcome]
+                )
+            )
             clock, processor = np.array(self.seconds[part]).T
             print(
                 f"{part}: time of a fit {np.median(clock):.0f} s by the clock (longest {clock.max():.0f} s), "
@@ -125,8 +131,8 @@ class Results:
         print(flush=True)
 
 
-def _line(name: str, found: Sequence[tuple[float, float, bool]]) -> str:
-    error, claimed, holds = np.array(found, dtype=float).T
+def _line(name: str, outcome: Sequence[tuple[float, float, bool]]) -> str:
+    error, claimed, holds = np.array(outcome, dtype=float).T
     z = error / claimed
     spread = f" {z.std(ddof=1):6.2f}" if len(z) > 1 else f"{'':7}"
     return (
@@ -153,9 +159,9 @@ def fit_person(part: str, path: Path, truth: Person, n_pairs: int = N_PAIRS) -> 
     recording = recording.isel(trial=np.flatnonzero(inside))
     clock, processor = time.perf_counter(), time.process_time()
     directions = [FITTED_DIRECTION] if part.endswith("+") else []
-    found = identify_nonlinear(recording, pulse_directions_deg=directions, n_pairs=n_pairs)
+    outcome = identify_nonlinear(recording, pulse_directions_deg=directions, n_pairs=n_pairs)
     clock, processor = time.perf_counter() - clock, time.process_time() - processor
-    estimate = found.estimate
+    estimate = outcome.estimate
     results.seconds[part].append((clock, processor))
     results.unsettled[part] += not estimate.converged
     known = true_values(truth.subjects[task], truth.levels)
@@ -169,9 +175,9 @@ def fit_person(part: str, path: Path, truth: Person, n_pairs: int = N_PAIRS) -> 
             )
         )
     results.errors[part, RATIO].append(_ratio(estimate, known))
-    pulses = {model: list(of) for model, of in found.pulses.items()} | {"truth": []}
-    for one in training_sets(fitted_conditions(recording), directions)[1]:
-        pulses["truth"] += predict_pulses(one, THESIS.condition(one.label).subject_of(truth))
+    pulses = {model: list(of) for model, of in outcome.pulses.items()} | {"truth": []}
+    for entry in training_sets(fitted_conditions(recording), directions)[1]:
+        pulses["truth"] += predict_pulses(entry, THESIS.condition(entry.label).subject_of(truth))
     own = defaultdict(list)
     for model in MODELS:
         for pulse in pulses[model]:
@@ -189,7 +195,7 @@ def judge_linear_person(part: str, seed: int) -> tuple[str, Results]:
     """Compare laws on the trials of a person whose muscles are linear, in one task; says what is chosen."""
     results, task = Results(), part.removeprefix("linear ")
     person = draw_person(seed, 0, muscles="linear")
-    trials = [one for one in THESIS.trials(person, THESIS.given_forces(), seed, 0) if one.subject.task == task]
+    trials = [entry for entry in THESIS.trials(person, THESIS.given_forces(), seed, 0) if entry.subject.task == task]
     recording = run_experiment(trials, instruments=Instruments(emg=None, marker_noise=None), n_threads=1)
     clock = time.perf_counter()
     # Pulses have no say in the choice: they are not predicted here.
@@ -225,8 +231,8 @@ def main(arguments: Sequence[str] = ()) -> None:
         linear = [part for part in options.parts if part not in of_people]
         jobs += [pool.submit(judge_linear_person, part, seed) for part in linear for seed in options.seeds]
         for job in as_completed(jobs):
-            said, found = job.result()
-            results.add(found)
+            said, outcome = job.result()
+            results.add(outcome)
             print(said)
             results.print()
 

@@ -56,17 +56,17 @@ def main(arguments: Sequence[str] = ()) -> None:
         started = time.process_time()
         initial = {name: value_at(name, at) for name, at in zip(parameters.names, changed, strict=True)}
         try:
-            found = fit(sets, arms, model, initial=initial, n_pairs=options.pairs)
+            result = fit(sets, arms, model, initial=initial, n_pairs=options.pairs)
         except ValueError as error:
             print(f"start {number}: {error}", flush=True)
             continue
-        took = f"{time.process_time() - started:.0f} s of the processor, {found.message}"
+        took = f"{time.process_time() - started:.0f} s of the processor, {result.message}"
         if first is None:
-            first = found
+            first = result
             print(f"usual start: {took}", flush=True)
             continue
         errors = np.array([first.coordinate_error[name] for name in parameters.names])
-        apart = np.abs(found.state.point - first.state.point) / errors
+        apart = np.abs(result.state.point - first.state.point) / errors
         furthest = parameters.names[int(np.argmax(apart))]
         print(
             f"start {number}: {np.sqrt(np.mean(apart**2)):.2f} standard errors from the first (RMS), at most "

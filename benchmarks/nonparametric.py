@@ -150,10 +150,10 @@ def run(case: Case, method: str, recording: xr.Dataset, frequency: Any) -> dict[
     elif method == "direct":
         values = direct(recording, frequency)
     else:
-        found = response(recording, method, frequency)
-        values = found.response
-        if found.covariance is not None:
-            ratio = float(np.mean(np.abs(values - truth) ** 2 / found.covariance))
+        result = response(recording, method, frequency)
+        values = result.response
+        if result.covariance is not None:
+            ratio = float(np.mean(np.abs(values - truth) ** 2 / result.covariance))
     took = time.process_time() - start
     if method in ("arx", "subspace"):
         fit: Any = {"arx": fit_arx, "subspace": fit_subspace}[method]
@@ -192,13 +192,13 @@ def main(names: Sequence[str] = ()) -> None:
     for case in cases:
         if case.model is None:
             continue
-        found = []
+        result = []
         for seed in range(SEEDS):
             recording = case.record(seed)
             frequency = estimate_spectra(line_spectra(recording)).frequency
             frequency = frequency[frequency <= TOP]
-            found.append(orders(recording, case.truth(frequency), frequency))
-        cells = [np.array([one[way] for one in found]) for way in found[0]]
+            result.append(orders(recording, case.truth(frequency), frequency))
+        cells = [np.array([entry[way] for entry in result]) for way in result[0]]
         line = "".join(f"{100 * cell[:, 1].mean():>14.2f} ({np.median(cell[:, 0]):3.0f})" for cell in cells)
         print(f"{case.name:28}{line}", flush=True)
 
@@ -208,7 +208,7 @@ def compare_methods(cases: Sequence[Case]) -> None:
     print(f"{'case':28} {'method':12}" + "".join(f"{column:>10}" for column in columns))
     for case in cases:
         recordings = [case.record(seed) for seed in range(SEEDS)]
-        whole = [one.assign_coords(pulse_onset=one["pulse_onset"] * np.nan) for one in recordings[:1]]
+        whole = [entry.assign_coords(pulse_onset=entry["pulse_onset"] * np.nan) for entry in recordings[:1]]
         frequency = estimate_spectra(line_spectra(whole[0])).frequency
         frequency = frequency[frequency <= TOP]
         periodic = np.isnan(recordings[0]["pulse_onset"]).all()
@@ -216,14 +216,14 @@ def compare_methods(cases: Sequence[Case]) -> None:
         methods += ("noise", "arx", "subspace", "direct") + ("parametric",) * bool(case.model)
         for method in methods:
             rows = [run(case, method, recording, frequency) for recording in recordings]
-            found = {key: np.array([row[key] for row in rows]) for key in rows[0]}
+            result = {key: np.array([row[key] for row in rows]) for key in rows[0]}
             cells = (
-                f"{100 * found['error'].mean():.2f}",
-                f"{100 * found['error'].max():.2f}",
-                f"{np.median(found['order']):.0f}",
-                f"{found['pole'].max():.4f}",
-                f"{np.sqrt(found['ratio'].mean()):.2f}",
-                f"{1e3 * np.median(found['took']):.0f}",
+                f"{100 * result['error'].mean():.2f}",
+                f"{100 * result['error'].max():.2f}",
+                f"{np.median(result['order']):.0f}",
+                f"{result['pole'].max():.4f}",
+                f"{np.sqrt(result['ratio'].mean()):.2f}",
+                f"{1e3 * np.median(result['took']):.0f}",
             )
             line = "".join(f"{'' if cell == 'nan' else cell:>10}" for cell in cells)
             print(f"{case.name:28} {method:12}{line}", flush=True)

@@ -73,8 +73,8 @@ def main(arguments: list[str] | None = None) -> None:
                 time.sleep(rng.uniform(0.0, 3.0))
                 ended = run.poll() is not None
                 run.kill()
-            found = len(list(killed.glob("recordings/*.nc")))
-            print(f"{'had ended by itself' if ended else 'killed'}, {found} of {N_SUBJECTS} finished")
+            result = len(list(killed.glob("recordings/*.nc")))
+            print(f"{'had ended by itself' if ended else 'killed'}, {result} of {N_SUBJECTS} finished")
         subprocess.run(command, check=True)
         print(f"after {N_KILLS} kills, {options.workers} workers: {difference(killed, undisturbed)}")
 

@@ -147,8 +147,8 @@ def outcomes(name: str, inputs: Path, numbers: list[int]) -> Iterator[Row]:
                 status, said, left = after(command, SURROUNDINGS[where])
                 files = before, expected, left
                 if "home" in where:  # where the key lies with which kept results are signed: they are computed anew
-                    kept = [name for name in left if name in expected and Path(name).parent.name == ANALYSIS]
-                    left |= {name: expected[name] for name in kept}
+                    retained = [name for name in left if name in expected and Path(name).parent.name == ANALYSIS]
+                    left |= {name: expected[name] for name in retained}
                     files = without_recalled(before), without_recalled(expected), without_recalled(left)
                 errors = [line for line in said.splitlines() if line.startswith("armperturb: error: ")]
                 fault = wrong(status, where, files, said)

@@ -132,8 +132,8 @@ def our_fit(data: Data, start: Array) -> Found:
     residual(start[None])  # compiles
     begin = time.process_time()
     bounds = (np.log(LOWER), np.log(UPPER))
-    found = optimize.least_squares(error, np.log(start), slopes, bounds=bounds, xtol=1e-12, ftol=1e-12, gtol=1e-12)
-    return Found(np.exp(found.x), evaluations, time.process_time() - begin)
+    result = optimize.least_squares(error, np.log(start), slopes, bounds=bounds, xtol=1e-12, ftol=1e-12, gtol=1e-12)
+    return Found(np.exp(result.x), evaluations, time.process_time() - begin)
 
 
 def write(spec: mujoco.MjSpec, name: str, value: float) -> None:
@@ -195,8 +195,8 @@ def sysid_fit(data: Data, start: Array, sysid: Any, **options: Any) -> Found:
 
     built = sysid.build_residual_fn(models_sequences=[sequence], modify_residual=left, n_threads=1, resample_true=False)
     begin = time.process_time()
-    found, _ = sysid.optimize(parameters, residual, optimizer="mujoco", verbose=False, output=io.StringIO(), **options)
-    return Found(found.as_vector(), evaluations, time.process_time() - begin)
+    result, _ = sysid.optimize(parameters, residual, optimizer="mujoco", verbose=False, output=io.StringIO(), **options)
+    return Found(result.as_vector(), evaluations, time.process_time() - begin)
 
 
 def main() -> None:
@@ -209,22 +209,22 @@ def main() -> None:
     data = recorded()
     start = data.truth * OFF ** np.where(np.arange(len(NAMES)) % 2, 1.0, -1.0)
     cost = our_residual(data)
-    found = {
+    result = {
         "ours": our_fit(data, start),
         "sysid": sysid_fit(data, start, sysid, x_scale="jac"),
     }
     print(
-        f"{'parameter':14}{'true':>10}{'start':>10}" + "".join(f"{name:>12}" for name in found) + f"{'ratio - 1':>12}"
+        f"{'parameter':14}{'true':>10}{'start':>10}" + "".join(f"{name:>12}" for name in result) + f"{'ratio - 1':>12}"
     )
     for i, name in enumerate(NAMES):
-        ours, theirs = (one.values[i] for one in found.values())
+        ours, theirs = (entry.values[i] for entry in result.values())
         print(f"{name:14}{data.truth[i]:10.4g}{start[i]:10.4g}{ours:12.6g}{theirs:12.6g}{theirs / ours - 1.0:12.1e}")
-    for name, one in found.items():
-        error = np.abs(np.log(one.values / data.truth)).max()
+    for name, entry in result.items():
+        error = np.abs(np.log(entry.values / data.truth)).max()
         print(
-            f"{name}: cost {np.sum(cost(one.values[None]) ** 2):.9g}, {one.evaluations} evaluations in "
-            f"{one.seconds:.2f} s ({1e3 * one.seconds / one.evaluations:.2f} ms each), largest error of a parameter "
-            f"{100.0 * error:.1f} %"
+            f"{name}: cost {np.sum(cost(entry.values[None]) ** 2):.9g}, {entry.evaluations} evaluations in "
+            f"{entry.seconds:.2f} s ({1e3 * entry.seconds / entry.evaluations:.2f} ms each), largest error of a "
+            f"parameter {100.0 * error:.1f} %"
         )
 
 

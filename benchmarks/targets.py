@@ -64,9 +64,9 @@ def admittance() -> Iterator[Row]:
         .transpose(0, 2, 3, 1)
         for name in ("perturbation", "displacement")
     )
-    frequency, found = moves[0].frequencies, x @ np.linalg.inv(d)
+    frequency, outcome = moves[0].frequencies, x @ np.linalg.inv(d)
     theory = np.stack([total_admittance(person, Environment(), frequency) for person in people])
-    error = 100.0 * (np.linalg.norm(found - theory, axis=(2, 3)) / np.linalg.norm(theory, axis=(2, 3))).max(axis=0)
+    error = 100.0 * (np.linalg.norm(outcome - theory, axis=(2, 3)) / np.linalg.norm(theory, axis=(2, 3))).max(axis=0)
     yield Row("admittance against theory, to 20 Hz", error[frequency <= 20.0].max(), 0.1, "%")
     yield Row("the same to 40 Hz", error.max(), 0.3, "%")
 

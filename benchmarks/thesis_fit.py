@@ -65,10 +65,10 @@ def plain_fit(admittance: np.ndarray, body: Subject) -> float:
     """Criterion."""
     error = error_in_a_loop(admittance, body)
     bounds = tuple(np.array(list(STRUCTURE.bounds.values())).T / START)
-    found = optimize.least_squares(
+    result = optimize.least_squares(
         error, np.ones(13), bounds=bounds, diff_step=1e-4, ftol=1e-5, xtol=1e-6, gtol=None, max_nfev=428
     )
-    return float(np.mean(found.fun**2))
+    return float(np.mean(result.fun**2))
 
 
 def our_fit(admittance: np.ndarray, body: Subject, *, as_published: bool) -> float:

@@ -99,8 +99,8 @@ def main(folder):
         axes[0].legend()
         ax = axes[2]
         for number in range(N_PEOPLE):
-            one = ap.draw_person(0, number).subjects[person.task]
-            stiffness = low_frequency_stiffness(ap.run_experiment(trials(task, one), engine="compiled"))
+            entry = ap.draw_person(0, number).subjects[person.task]
+            stiffness = low_frequency_stiffness(ap.run_experiment(trials(task, entry), engine="compiled"))
             ax.plot(*outline(stiffness), color=GREY, linewidth=0.5)
         for name, recording in recordings.items():
             stiffness = low_frequency_stiffness(recording)

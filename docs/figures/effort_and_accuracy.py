@@ -118,24 +118,24 @@ class OneLevel:
 
     def optimum(self, factor: float = 1.0, power: float = 2.0) -> dict[str, np.ndarray]:
         """Condition to the best levels (3,), alike, with a multiple of that weight."""
-        found = {}
+        result = {}
         for name in FORCES:
             levels = self.levels[name] ** (power / 2.0)
             best = chosen_level(levels, np.sqrt(self.error[name]), factor * self.weight(power))
-            found[name] = np.full(3, best ** (2.0 / power))
-        return found
+            result[name] = np.full(3, best ** (2.0 / power))
+        return result
 
 
 def try_one_level(size: Size, noise: bool) -> OneLevel:
     grid = np.geomspace(0.25, 2.5, size.levels)
-    found = OneLevel({}, {})
+    result = OneLevel({}, {})
     for name, force in tqdm(FORCES.items(), f"one level, {'noisy' if noise else 'calm'}", unit="condition"):
         alike = np.repeat(grid[:, None], 3, axis=1)
         error = mean_cost(force, alike, 0.0, size, noise)
         # Who meets the limit of the workspace in one trial is no choice.
         held = error < LOST / size.realisations
-        found.levels[name], found.error[name] = grid[held], error[held]
-    return found
+        result.levels[name], result.error[name] = grid[held], error[held]
+    return result
 
 
 def best_of_three(force: float, start: np.ndarray, effort: float, size: Size, bar: tqdm) -> np.ndarray:
@@ -147,7 +147,7 @@ def best_of_three(force: float, start: np.ndarray, effort: float, size: Size, ba
         bar.update()
         return mean_cost(force, levels.T, effort, size)
 
-    found = differential_evolution(
+    result = differential_evolution(
         cost,
         [(0.0, HIGHEST)] * 3,
         init=np.clip(start * np.exp(spread), 0.0, HIGHEST),
@@ -158,7 +158,7 @@ def best_of_three(force: float, start: np.ndarray, effort: float, size: Size, ba
         tol=0.005,
         seed=0,
     )
-    return found.x
+    return result.x
 
 
 class Arm(NamedTuple):
@@ -187,19 +187,19 @@ def identified(arms: dict[str, dict[str, np.ndarray]], size: Size) -> dict[tuple
         recording = run_experiment(
             everything, timestep=size.step, progress=lambda done: bar.update(min(done, bar.total - bar.n))
         )
-    found = {}
+    result = {}
     for number, (key, own) in enumerate(trials.items()):
         part = recording.isel(trial=slice(number * len(own), (number + 1) * len(own)))
         spectra = estimate_spectra(line_spectra(part, window_start=size.settle, period=PERIOD))
         moved = part["displacement"].values[:, round(size.settle * part.attrs["rate"]) :]
         gain = np.abs(np.diagonal(spectra.arm, axis1=1, axis2=2))
-        found[key] = Arm(spectra.frequency, gain, float(np.sqrt(np.mean(moved**2))))
-    return found
+        result[key] = Arm(spectra.frequency, gain, float(np.sqrt(np.mean(moved**2))))
+    return result
 
 
 @in_style()
 def picture(
-    calm: OneLevel, own_cost: dict[str, float], found: dict[tuple[str, str], Arm], falls: dict[str, float]
+    calm: OneLevel, own_cost: dict[str, float], result: dict[tuple[str, str], Arm], falls: dict[str, float]
 ) -> Figure:
     figure = new_figure(5.9)
     panels = figure.subplots(2, 3)
@@ -219,10 +219,10 @@ def picture(
     panels[0, 0].set_ylabel("cost per decision [-]")
     for axis, ax in enumerate(panels[1, :2]):
         for name, colour in SHADES.items():
-            chosen, fixed = found[CHOSEN, name], found[FIXED, name]
+            chosen, fixed = result[CHOSEN, name], result[FIXED, name]
             ax.loglog(chosen.frequency, chosen.gain[:, axis], color=colour, marker="o", markersize=2.5)
             ax.loglog(fixed.frequency, fixed.gain[:, axis], color=colour, **dashed)
-        smallest = found[CHOSEN, "PT2.5"]
+        smallest = result[CHOSEN, "PT2.5"]
         ax.plot(
             smallest.frequency[:2], smallest.gain[:2, axis] / FALL, "x", markersize=6, markeredgewidth=1.6, **PUBLISHED
         )
@@ -263,19 +263,19 @@ def main(folder: Path, size: Size) -> None:
         OWN_LEVELS: own,
         "calibrated": {name: np.full(3, person.levels.get(name, 1.0)) for name in FORCES},
     }
-    found = identified(arms, size)
-    falls = {name: float(np.mean(found[name, "PT2.5"].gain[:2] / found[name, "PT22.5"].gain[:2])) for name in arms}
+    result = identified(arms, size)
+    falls = {name: float(np.mean(result[name, "PT2.5"].gain[:2] / result[name, "PT22.5"].gain[:2])) for name in arms}
     own_cost = {name: float(mean_cost(FORCES[name], own[name][None], effort, size)[0]) for name in FORCES}
     folder.mkdir(parents=True, exist_ok=True)
-    save_png(picture(calm, own_cost, found, falls), folder / "effort_and_accuracy.png", 110.0)
+    save_png(picture(calm, own_cost, result, falls), folder / "effort_and_accuracy.png", 110.0)
 
     print(f"effort: {effort:.3g} times the environment's weights ({noisy.weight() / UNIT:.3g} with noise)")
     print(f"{'':18}" + "".join(f"{name:>24}" for name in FORCES) + f"{'fall':>7}")
     for name, chosen in arms.items():
         cells = ""
         for condition, levels in chosen.items():
-            told = " ".join(f"{level:.2f}" for level in dict.fromkeys(levels.tolist()))
-            cells += f"{f'{told} {1e3 * found[name, condition].displacement:5.1f} mm':>24}"
+            stated = " ".join(f"{level:.2f}" for level in dict.fromkeys(levels.tolist()))
+            cells += f"{f'{stated} {1e3 * result[name, condition].displacement:5.1f} mm':>24}"
         print(f"{name:18}{cells}{falls[name]:7.2f}")
     print(f"{'people, published':18}" + " " * 72 + f"{FALL:7.2f}")
     print(f"cost of {OWN_LEVELS}: " + ", ".join(f"{name} {cost:.3g}" for name, cost in own_cost.items()))

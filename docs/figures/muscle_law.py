@@ -76,7 +76,7 @@ def damping(axes: Axes) -> None:
         motion = np.repeat(speed[:, None, None], 3, axis=2)
         beside_linear, _ = stretched([subject], np.zeros_like(motion), motion, DT)
         axes.plot(speed, subject.b_se * speed + beside_linear[:, 0, 1], label=f"{thinning:g} rad/s")
-    axes.set(title="Damping that thins", xlabel="velocity [rad/s]", ylabel="torque [Nm]", ylim=(0, 1))
+    axes.set(title="Shear-thinning damping", xlabel="velocity [rad/s]", ylabel="torque [Nm]", ylim=(0, 1))
 
 
 def spindles(axes: Axes) -> None:

@@ -14,16 +14,16 @@ from armperturb.study.report.figures import mechanisms as yielding_figures
 
 
 def main(folder: Path) -> None:
-    found = yielding.why_people_yield(average_person())
+    result = yielding.why_people_yield(average_person())
     folder.mkdir(parents=True, exist_ok=True)
     for name in ("loops", "admittance", "pulses"):
-        save_png(getattr(yielding_figures, name)(found), folder / f"yielding_{name}.png", 110.0)
+        save_png(getattr(yielding_figures, name)(result), folder / f"yielding_{name}.png", 110.0)
     print(f"{'':38}{'RT22.5 / RT2.5':>16}{'PT2.5 / PT22.5':>16}{'pulse, RT22.5 / RT0':>21}")
-    for row in found.rows():
+    for row in result.rows():
         print(
             f"{row['arm']:38}{row['RT_rise']:16.2f}{row['PT_fall']:16.2f}{row['pulse_admittance_RT22.5_over_RT0']:21.2f}"
         )
-    for (arm, condition), reason in found.unstable.items():
+    for (arm, condition), reason in result.unstable.items():
         print(f"{arm}, {condition}: {reason}")
 
 

@@ -86,12 +86,12 @@ def test_a_search_that_is_interrupted_goes_on_and_writes_what_it_found(path, cap
         assert run(path, "--law", "linear") == 130
     said = capsys.readouterr().err.splitlines()
     assert said[-1] == "armperturb: interrupted; the same command continues from here"
-    assert said[-2].startswith("step 2 (noise-free, stage 1 of 4): cost ")
+    assert said[-2].startswith("step 2 (noisy, stage 2 of 4): cost ")
     assert [file.name for file in out.iterdir()] == ["checkpoint.json.gz"]
 
     assert run(path, "--law", "linear") == 0
     captured = capsys.readouterr()
-    assert captured.err.startswith("step 3 (noise-free, stage 1 of 4): ")
+    assert captured.err.startswith("step 3 (")
     assert captured.out.startswith("Muscles of relax in RT: linear law, maximum likelihood of raw trials in 2 ")
     assert "\nconverged after " in captured.out
     assert sorted(file.name for file in out.iterdir()) == [

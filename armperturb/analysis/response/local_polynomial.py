@@ -7,7 +7,7 @@ loop, the discrete Fourier transforms obey
 
 where the leakage L belongs to what came before the record and goes on after it. It is a rational function with the
 loop's own poles, like T, and so both are smooth in frequency; D of an aperiodic or random signal is not. Around a
-frequency, T and L are polynomials of the frequency's offset, and a least-squares fit tells them apart. What is left is
+frequency, T and L are polynomials of the frequency's offset, and a least-squares fit separates them. What is left is
 noise, and its sample covariance gives that of T (Pintelon & Schoukens, System Identification, 2nd ed., chapter 7).
 
 Feedback does no harm, because all is referred to d (joint input-output approach). With T = (T_f; T_x),

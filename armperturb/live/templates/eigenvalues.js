@@ -35,7 +35,7 @@ function eigenvalues(matrix) {
     if (r === 0) return [0, 0];
     return x >= 0 ? [r, y / (2 * r)] : [Math.abs(y) / (2 * r), y < 0 ? -r : r];
   };
-  const found = [];
+  const eigenvalues = [];
   let last = n - 1, tries = 0;
   while (last >= 0) {
     let low = last;
@@ -45,7 +45,7 @@ function eigenvalues(matrix) {
       low -= 1;
     }
     if (low === last) {
-      found.push([re[last][last], im[last][last]]);
+      eigenvalues.push([re[last][last], im[last][last]]);
       last -= 1;
       tries = 0;
       continue;
@@ -86,5 +86,5 @@ function eigenvalues(matrix) {
     });
     for (let i = low; i <= last; i += 1) { re[i][i] += shiftR; im[i][i] += shiftI; }
   }
-  return found;
+  return eigenvalues;
 }

@@ -89,14 +89,14 @@ const Lab = (() => {
     return unit(timestep).map(each => each * rms);
   };
 
-  // What moves now, and what the person as chosen would do under the same force, which is kept.
+  // What moves now, and what the person as chosen would do under the same force, which is unchanged.
   let movement = null, reference = null, cursor = 0;
-  const kept = {};
+  const unchanged = {};
 
   const drawArm = index => Drawing.arm(at("arm"), movement, reference, index, [["force", RED], ["path of the handle", BLUE]]);
 
   function drawCurves() {
-    const arms = ArmModel.linearArms(movement.arm), now = ArmModel.bode(arms[0], frequencies), before = kept.curves;
+    const arms = ArmModel.linearArms(movement.arm), now = ArmModel.bode(arms[0], frequencies), before = unchanged.curves;
     const stiff = arms[1] && ArmModel.bode(arms[1], frequencies), mm = values => values.map(each => 1e3 * each);
     const x = { low: MIN_FREQUENCY, high: MAX_FREQUENCY, log: true }, xTicks = [0.2, 0.5, 1, 2, 5, 10, 20, 40];
     const lines = (key, map) => [
@@ -211,11 +211,11 @@ const Lab = (() => {
     const changed = Object.keys(state.values).length > 0;
     movement = moved(armOf(value));
     const key = [state.preset, state.kind, ...["peak", "direction", "rms"].map(value)].join(" ");
-    if (kept.key !== key) {
+    if (unchanged.key !== key) {
       const arm = chosen();
-      Object.assign(kept, { key, movement: moved(arm), curves: ArmModel.bode({ ...arm, muscle: null }, frequencies) });
+      Object.assign(unchanged, { key, movement: moved(arm), curves: ArmModel.bode({ ...arm, muscle: null }, frequencies) });
     }
-    reference = changed ? kept.movement : movement;
+    reference = changed ? unchanged.movement : movement;
     showSettings();
     tell(drawCurves());
     drawCourse();
