@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pandas as pd
 from scipy import stats
+from scipy.sparse.csgraph import connected_components
 
 from armperturb.arrays import Array, ComplexArray
 from armperturb.recording import LABELS
@@ -339,9 +340,21 @@ def limits_of(fit: FitResult) -> tuple[str, ...]:
             shown = value if abs(value) > 1e-9 * error else 0.0
             relative = f", relative s.e. {error / abs(shown):.0%}" if shown else ""
             said.append(f"{name} is poorly determined ({shown:.3g} +/- {error:.2g}{relative})")
-    names = list(fit.values)
-    said += [
-        f"{names[i]} and {names[j]} are not separately identifiable (error correlation r = {fit.correlation[i, j]:.2f})"
-        for i, j in zip(*np.nonzero(np.triu(np.abs(fit.correlation) > ALIKE, 1)), strict=True)
-    ]
-    return tuple(said)
+    return (*said, *inseparable(list(fit.values), fit.correlation))
+
+
+def inseparable(names: Sequence[str], correlation: Array) -> list[str]:
+    """Which parameters are not separately identifiable: a sentence for each group that correlations connect."""
+    connected = np.abs(correlation) > ALIKE
+    n_groups, group_of = connected_components(connected, directed=False)
+    said = []
+    for group in range(n_groups):
+        of_group = np.flatnonzero(group_of == group)
+        if len(of_group) < 2:
+            continue
+        *first, last = (names[index] for index in of_group)
+        r = correlation[np.ix_(of_group, of_group)][np.triu_indices(len(of_group), 1)]
+        largest = float(r[np.nanargmax(np.abs(r))])
+        how = f"error correlation r = {largest:.2f}" if len(r) == 1 else f"largest error correlation r = {largest:.2f}"
+        said.append(f"{', '.join(first)} and {last} are not separately identifiable ({how})")
+    return said

@@ -22,6 +22,7 @@ from armperturb.analysis.results import (
     FitResult,
     Result,
     Table,
+    inseparable,
     limits_of,
     parameter_table,
     plain,
@@ -309,3 +310,14 @@ def test_a_relative_error_is_that_of_an_estimate_which_is_not_zero_but_for_round
         "kp_s is poorly determined (6 +/- 4, relative s.e. 67%)",
         "kp_e is poorly determined (0 +/- 5.3)",
     )
+
+
+def test_parameters_that_correlations_connect_are_named_together():
+    correlation = np.eye(6)
+    for i, j, r in ((0, 2, 0.96), (2, 3, -0.99), (1, 4, 0.97), (0, 3, -0.9)):
+        correlation[i, j] = correlation[j, i] = r
+    correlation[5, :5] = correlation[:5, 5] = np.nan
+    assert inseparable(list("abcdef"), correlation) == [
+        "a, c and d are not separately identifiable (largest error correlation r = -0.99)",
+        "b and e are not separately identifiable (error correlation r = 0.97)",
+    ]

@@ -19,13 +19,13 @@ from armperturb.analysis.nonlinear.model import (
 )
 from armperturb.analysis.nonlinear.noise import Noise
 from armperturb.analysis.nonlinear.simulated import State
-from armperturb.analysis.results import Description, FitResult, Interval, parameter_table, quantile
+from armperturb.analysis.results import Description, FitResult, Interval, inseparable, parameter_table, quantile
 from armperturb.arrays import Array
 from armperturb.subject import Subject
 from armperturb.validation import require_one_of
 
-UNCERTAIN, ALIKE = 0.25, 0.95
-"""From when on remarks are made: standard error of a coordinate, and correlation of errors [-]."""
+UNCERTAIN = 0.25
+"""Standard error of a coordinate from which on a remark is made [-]."""
 
 TOGETHER = 0.8
 """Correlation from which on the ratio or product of two parameters is named, if one of them is poorly determined
@@ -159,11 +159,7 @@ def remarks_on(
                 f"{ratio * factor:.2g}), standard error of the logarithm {combined:.2f}, of each alone {a:.2f} and "
                 f"{b:.2f}"
             )
-    remarks += [
-        f"{names[i]} and {names[j]} are not separately identifiable (error correlation r = {correlation[i, j]:.2f})"
-        for i, j in _pairs(correlation, ALIKE)
-    ]
-    return remarks
+    return [*remarks, *inseparable(names, correlation)]
 
 
 def _pairs(correlation: Array, least: float) -> list[tuple[int, int]]:
