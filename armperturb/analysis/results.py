@@ -352,7 +352,7 @@ def inseparable(names: Sequence[str], correlation: Array) -> list[str]:
         of_group = np.flatnonzero(group_of == group)
         if len(of_group) < 2:
             continue
-        *first, last = (names[index] for index in of_group)
+        *first, last = (names[index] for index in of_group.tolist())
         r = correlation[np.ix_(of_group, of_group)][np.triu_indices(len(of_group), 1)]
         largest = float(r[np.nanargmax(np.abs(r))])
         how = f"error correlation r = {largest:.2f}" if len(r) == 1 else f"largest error correlation r = {largest:.2f}"

@@ -144,7 +144,7 @@ def even_times(
             f"{missing[at]} samples are dropped at {time[at]:.6g} s (time steps by {1e3 * steps[at]:.4g} ms, usually "
             f"by {1e3 * usual:.4g} ms)"
         )
-        can = bool(steps[at] <= min(LONGEST_GAP.values()) + 0.1 * usual)  # all signals miss them
+        can = bool(missing[at] * usual <= min(LONGEST_GAP.values()) + 0.1 * usual)  # all signals miss them
         faults.append(Fault("drops", what, can))
     off = np.abs(time - first - index / rate)
     if off.max() > ROUNDED / rate:

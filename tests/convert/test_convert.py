@@ -618,12 +618,12 @@ def test_a_workspace_limit_after_a_cut_is_none(tmp_path):
 
 
 def test_dropped_samples_are_refused_with_their_time_and_filled_if_asked(tmp_path):
-    path = write(tmp_path, np.delete(table(), slice(700, 705), axis=0), meaning(**TIMED))
-    with pytest.raises(ValueError, match=r"trial '1': 5 samples are dropped at 3.495 s .*cannot be repaired"):
+    path = write(tmp_path, np.delete(table(), slice(700, 706), axis=0), meaning(**TIMED))
+    with pytest.raises(ValueError, match=r"trial '1': 6 samples are dropped at 3.495 s .*cannot be repaired"):
         import_recording([path], repair=["drops"])
-    values = np.delete(table(), slice(700, 704), axis=0)
+    values = np.delete(table(), slice(700, 705), axis=0)  # 0.025 s, as of gaps
     path = write(tmp_path, values, meaning(**TIMED))
-    with pytest.raises(ValueError, match=r"trial '1': 4 samples are dropped at 3.495 s .*\(convert --repair drops"):
+    with pytest.raises(ValueError, match=r"trial '1': 5 samples are dropped at 3.495 s .*\(convert --repair drops"):
         import_recording([path])
     found = import_recording([path], repair=["drops"]).recording
     assert found.sizes["time"] == N_TIME

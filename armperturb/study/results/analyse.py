@@ -318,11 +318,13 @@ class _Study:
         lines = []
         for path in sorted({*(self.root / ANALYSIS).glob("*-nonlinear-*.json.gz")} - fits.keys()):
             name, _, rest = path.name.removesuffix(".json.gz").partition("-nonlinear-")
-            reason = stale.get(path, "it follows from a fit that is not used")
-            if name not in {recording.stem for recording in self.paths}:
-                reason = f"{name} has no whole recording"
-            command = f"armperturb report {shlex.quote(str(self.root))} --nonlinear {rest.partition('-')[0]}"
-            lines.append(f"the nonlinear fit {ANALYSIS}/{path.name} is not used: {reason}; to make it anew: {command}")
+            said = f"the nonlinear fit {ANALYSIS}/{path.name} is not used: "
+            if name in {recording.stem for recording in self.paths}:
+                command = f"armperturb report {shlex.quote(str(self.root))} --nonlinear {rest.partition('-')[0]}"
+                reason = stale.get(path, "it follows from a fit that is not used")
+                lines.append(f"{said}{reason}; to make it anew: {command}")
+            else:
+                lines.append(f"{said}{name} has no whole recording; expected it in the folder, or the fit removed")
         return lines
 
     def with_truth(self, case: Case) -> Case:
