@@ -141,7 +141,9 @@ class JointIdentification(FitResult):
         """
         if self.servo == "force" or name not in self.profiles:
             return super().interval(name, level)
-        return self.profiles[name].interval(quantile(level, self.degrees_of_freedom.get(name, math.inf)))
+        lower, upper = self.profiles[name].interval(quantile(level, self.degrees_of_freedom.get(name, math.inf)))
+        # Where noise and parameters do not settle together, the profile is lowest away from the estimate.
+        return Interval(min(lower, self.values[name]), max(upper, self.values[name]))
 
     def unit_of(self, name: str) -> str:
         """Unit of a parameter."""

@@ -150,6 +150,17 @@ def test_an_interval_of_a_profile_ends_where_its_root_says():
     assert two_minima.interval(2.0) == pytest.approx((1.0 / 3.0, 5.0))
 
 
+def test_an_interval_holds_the_estimate_where_the_profile_is_lowest_elsewhere(result):
+    lower, upper = result.interval("reflex_delay")
+    estimate, width = result.values["reflex_delay"], upper - lower
+    for side in (-1.0, 1.0):
+        held, rise, bounds = result.profiles["reflex_delay"]
+        moved = replace(result, profiles={"reflex_delay": Profile(held + 2.0 * side * width, rise, bounds)})
+        ends = moved.interval("reflex_delay")
+        assert ends.lower <= estimate <= ends.upper
+        assert max(ends.upper - estimate, estimate - ends.lower) > 1.9 * width
+
+
 @pytest.mark.slow(reason="profiles a likelihood")
 def test_profiles_reach_both_minima_of_a_threshold(recording):
     """A movement that rests between its switches: thresholds either side of rest explain its reflex."""
