@@ -11,6 +11,7 @@ from armperturb.analysis.measures.statistics import FEWEST, effect_of_condition
 from armperturb.arrays import Array
 from armperturb.study.protocol import Condition
 from armperturb.study.results.emg import PersonEmg
+from armperturb.study.results.mean_admittance import differ_in_amplitude
 
 DURING, BEFORE = "during", "before"
 
@@ -19,7 +20,7 @@ class CocontractionTest(NamedTuple):
     """One test.
 
     Attributes:
-      question: "amplitude", "task" or "perturbation".
+      question: "amplitude" ("condition" where conditions differ in more, or not in it), "task" or "perturbation".
       joint: name.
       conditions: that are compared.
       n: people.
@@ -71,7 +72,9 @@ def cocontraction_tests(people: Sequence[PersonEmg], conditions: Sequence[Condit
             values = _table(by_person, names)
             if len(names) > 1 and len(values) >= FEWEST and values.any():
                 effect = effect_of_condition(values)
-                tests.append(_row("amplitude", joint, names, values, effect.test, effect.statistic, effect.p))
+                of_amplitude = differ_in_amplitude([c for c in conditions if c.name in names])
+                question = "amplitude" if of_amplitude else "condition"
+                tests.append(_row(question, joint, names, values, effect.test, effect.statistic, effect.p))
         both = [*moved["PT"], *moved["RT"]]
         values = _table(by_person, both)
         if all(moved.values()) and len(values) >= FEWEST and values.any():

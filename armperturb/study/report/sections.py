@@ -93,9 +93,11 @@ def sections(
             "rows": rows["conditions"],
             "drifting": drifting,
             "named_by_displacement": named_by_displacement(study),
+            "holding": _force_of_holding(rows["conditions"]),
         },
         "left_out": {"lists": left_out(study, rows["fits"], study.remarks if score is None else score.remarks)},
     }
+    of_amplitude = _of_amplitude(study)
     if study.conditions:
         amplitudes = {task: differ_in_amplitude(of_task) for task, of_task in by_task(study).items()}
         contexts["admittance"] = {"effects": effects, "findings": ratios, "amplitudes": amplitudes}
@@ -103,12 +105,14 @@ def sections(
         contexts["parameters"] = {
             "rows": rows["parameters_summary"],
             "main": [condition.name for condition in main_conditions(study).values()],
+            "of_amplitude": of_amplitude,
         }
     if study.conditions or played:
         contexts["explorer"] = {"panels": panels(study), "played": played}
     if PULSES_DRAWN & set(drawn):
         contexts["pulses"] = {
             "findings": ratios,
+            "of_amplitude": of_amplitude,
             "excess": of_study.excess_rows(study),
             "lost": sum(
                 trial.pulse_level != 0.0 and math.isnan(trial.displacement)
@@ -125,7 +129,6 @@ def sections(
     if study.nonlinear:
         contexts["nonlinear"] = _nonlinear(study)
     if effects.rows or effects.admittance or (effects.remarks and len(study.names) >= FEWEST):
-        of_amplitude = all(differ_in_amplitude(perturbed_conditions(study, task)) for task in TASKS)
         contexts["statistics"] = {"effects": effects, "of_amplitude": of_amplitude}
     if (joints := joint_rows(study)) or score is not None or "joint_rotations" in drawn:
         contexts["kinematics"] = {
@@ -153,6 +156,24 @@ def sections(
             **_agreement(score),
         }
     return {template: contexts[template] for template in WORDS["sections"] if template in contexts}
+
+
+def _of_amplitude(study: StudyResult) -> bool:
+    """Whether conditions that are compared differ in the amplitude of their movement."""
+    of_tasks = [perturbed_conditions(study, task) for task in TASKS]
+    compared = [conditions for conditions in of_tasks if len(conditions) > 1]
+    return bool(compared) and all(differ_in_amplitude(conditions) for conditions in compared)
+
+
+def _force_of_holding(rows: Sequence[Row]) -> float:
+    """RMS force in the position task over that in the relax task at the same intended movement, geometric mean [-]."""
+    of_task: dict[str, dict[float, float]] = {task: {} for task in TASKS}
+    for row in rows:
+        if row["force_N_mean"] > 0.0 and row["intended_displacement_m"] > 0.0:
+            of_task[row["task"]][row["intended_displacement_m"]] = row["force_N_mean"]
+    position, relax = of_task["PT"], of_task["RT"]
+    ratios = [position[each] / relax[each] for each in position if each in relax]
+    return float(np.exp(np.mean(np.log(ratios)))) if ratios else math.nan
 
 
 def lost_pulses(study: StudyResult) -> int:

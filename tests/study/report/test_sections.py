@@ -97,7 +97,7 @@ def test_a_finding_is_said_with_the_doubt_about_it(study):
     for finding, said in ((settled, ""), (replace(settled, lower=0.5, upper=32.0), "; the interval includes 1")):
         assert f"as when holding the position{said}." in summary(study, tasks=finding)
         text = section(study, "admittance", findings={"tasks": finding}, tasks={}, main={})
-        assert f"as people who hold the position{said}; from some" in text
+        assert f"as people who hold the position{said}. " in text
         assert f"to the multisine before it{said}." in summary(study, excess=finding)
 
 
@@ -126,8 +126,11 @@ def test_what_is_said_of_conditions_and_method_is_true_of_other_protocols(study)
     assert not named_by_displacement(pulses)
     assert not named_by_displacement(other)
     for each, has in ((thesis, True), (pulses, False)):
-        text = section(each, "conditions", drifting=[], named_by_displacement=named_by_displacement(each))
+        shown = {"drifting": [], "named_by_displacement": named_by_displacement(each)}
+        text = section(each, "conditions", **shown, holding=3.04)
         assert [words in text for words in (numbers, practice)] == [has, has]
+        assert ("at equal movement, holding takes 3.0 times the force of relaxing." in text) == has
+        assert "at equal movement" not in section(each, "conditions", **shown, holding=math.nan)
         text = section(each, "method")
         assert [words in text for words in (forces, "A multisine force", "Analysis.")] == [has, has, has]
     assert "Perturbation. A pulse of force." in text

@@ -13,7 +13,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from armperturb.plots.panels import legend
 from armperturb.plots.style import FITTED, GREY, PUBLISHED, SKELETAL, new_figure
-from armperturb.study.published.tables import MeanSD, headline
+from armperturb.study.published.tables import MeanSD, conditions, headline
 from armperturb.study.report.figures.people import MEAN, PERSON, fit_labels
 from armperturb.study.report.findings import arithmetic_mean, geometric_mean
 
@@ -76,11 +76,13 @@ def task_panels(height: float, groups: Mapping[str, Groups], *, shared: bool = T
 
 
 def draw_predictions(height: float, groups: Mapping[str, Groups], handles: Iterable[Line2D], n_columns: int) -> Figure:
-    """Predicted over recorded peaks, a panel per task, and the range of the thesis's means."""
+    """Predicted over recorded peaks, a panel per task, and the range of the thesis's means beside its conditions."""
     figure, panels = task_panels(height, groups)
     low, high = (headline(f"pulse_prediction_{end}") for end in ("low", "high"))
+    is_printed = any(label.partition("\n")[0] in conditions() for of_task in groups.values() for label in of_task)
     for task, ax in panels.items():
-        ax.axhspan(low, high, color=PUBLISHED["color"], alpha=0.18, linewidth=0)
+        if is_printed:
+            ax.axhspan(low, high, color=PUBLISHED["color"], alpha=0.18, linewidth=0)
         ax.axhline(100.0, color=GREY, linewidth=0.9)
         draw_groups(ax, groups[task])
         fit_labels(ax)
@@ -88,8 +90,11 @@ def draw_predictions(height: float, groups: Mapping[str, Groups], handles: Itera
     first = next(iter(panels.values()))
     first.set_ylim(bottom=0)
     first.set_ylabel("predicted / recorded peak [%]")
-    band = Patch(color=PUBLISHED["color"], alpha=0.25, linewidth=0, label=f"published range, {low:g} to {high:g} %")
-    legend(figure, *handles, mean_handle(mean_label(groups.values())), band, n_columns=n_columns)
+    shown: list[Line2D | Patch] = [*handles, mean_handle(mean_label(groups.values()))]
+    if is_printed:
+        label = f"published range, {low:g} to {high:g} %"
+        shown.append(Patch(color=PUBLISHED["color"], alpha=0.25, linewidth=0, label=label))
+    legend(figure, *shown, n_columns=n_columns)
     return figure
 
 
