@@ -32,7 +32,8 @@ bears makes it twice as much; beyond that the arm runs away, by several times wh
 are up to 10^5 times as large."""
 
 MOST_ATTEMPTS = 20
-"""How often the noise of a trial is drawn anew in a search."""
+"""How often the noise of a trial is drawn anew at a state: where a search has left the arm nearer to instability than the
+person's, hardly any noise is borne."""
 
 LEAST_SHARE = 0.25
 """Least share of the information without noise that counts, see `inverse_of_mixed` [-]."""
@@ -146,14 +147,14 @@ def borne(problem: Problem, state: State, draws: NoiseDraws) -> NoiseDraws:
     """
     before = draws
     attempts = draws.attempted(problem.n_trials).copy()
-    most = WILD * problem.sensitivity(state)
+    most, last = WILD * problem.sensitivity(state), attempts + MOST_ATTEMPTS
     unchecked = {pair: np.arange(problem.n_trials) for pair in range(draws.n_pairs)}
     while unchecked:
         draws = draws._replace(attempts=attempts.copy())
         for pair, disturbances in zip(sorted(unchecked), problem.disturbed(draws, unchecked), strict=True):
             trials = unchecked[pair]
             is_wild = _sensitivity(problem, state, draws, pair, disturbances, trials) > most[trials]
-            unchecked[pair] = trials[is_wild & (attempts[pair, trials] < MOST_ATTEMPTS)]
+            unchecked[pair] = trials[is_wild & (attempts[pair, trials] < last[pair, trials])]
             attempts[pair, unchecked[pair]] += 1
         unchecked = {pair: trials for pair, trials in unchecked.items() if len(trials)}
     return before if np.array_equal(attempts, before.attempted(problem.n_trials)) else draws
