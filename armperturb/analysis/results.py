@@ -26,6 +26,7 @@ from armperturb.recording import LABELS
 from armperturb.validation import require_one_of
 
 if TYPE_CHECKING:
+    import xarray as xr
     from matplotlib.figure import Figure
 
 LINES, WIDTH = 25, 110
@@ -201,6 +202,26 @@ class FitResult(Result):
     def correlation_frame(self) -> pd.DataFrame:
         """Correlation of the estimates' errors, one row and one column per parameter."""
         return pd.DataFrame(self.correlation, index=list(self.values), columns=list(self.values))
+
+    def to_xarray(self) -> "xr.Dataset":
+        """Estimate, standard error and 95 % interval, (parameter,), and `correlation` of errors, (parameter, other).
+
+        Units differ between parameters: `unit` holds each one's, (parameter,).
+        """
+        import xarray as xr
+
+        names = list(self.values)
+        columns = {
+            "value": [self.values[name] for name in names],
+            "standard_error": [self.standard_error[name] for name in names],
+            "lower_95": [self.interval(name).lower for name in names],
+            "upper_95": [self.interval(name).upper for name in names],
+            "at_bound": [name in self.at_bound for name in names],
+        }
+        variables: dict[str, Any] = {name: ("parameter", values) for name, values in columns.items()}
+        variables["correlation"] = ("parameter", "other"), self.correlation, {"units": "1"}
+        coords = {"parameter": names, "other": names, "unit": ("parameter", [self.unit_of(name) for name in names])}
+        return xr.Dataset(variables, coords, dict(self.labels))
 
     def plot(self, figure: "Figure | None" = None) -> Any:
         """Draw the estimates with their 95 % intervals, one panel per unit, conditions side by side.

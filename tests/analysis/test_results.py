@@ -126,6 +126,16 @@ def test_intervals_and_their_table():
             quantile(level)
 
 
+def test_parametric_fits_have_their_estimates_on_an_axis():
+    result = made_up(3)
+    data = result.to_xarray()
+    frame = result.to_frame().set_index("parameter")
+    for name in ("value", "standard_error", "lower_95", "upper_95", "at_bound", "unit"):
+        assert data[name].sel(parameter="k_2").item() == frame.loc["k_2", name]
+    assert data["correlation"].dims == ("parameter", "other")
+    np.testing.assert_array_equal(data["correlation"], result.correlation)
+
+
 def test_numbers_that_do_not_exist_are_written_by_name(tmp_path):
     frame = made_up(2).to_frame().assign(extra=[np.nan, 1.0])
     write_csv(frame, tmp_path / "parameters.csv")

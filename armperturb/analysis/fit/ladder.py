@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
+import pandas as pd
 
 from armperturb.analysis.fit.group import Group, Method
 from armperturb.analysis.fit.likelihood_search import MAX_ROUNDS
@@ -174,16 +175,20 @@ class Choice(Result):
             )
         return tuple(said)
 
+    def to_frame(self) -> pd.DataFrame:
+        """One row per structure, the best first: free parameters, score less the best, chi squared over dof [-]."""
+        best = self.chosen.score
+        rows = [
+            (rung.name, len(rung.structure.free), rung.score - best, rung.sketch.chi2 / rung.sketch.dof)
+            for rung in self.rungs
+        ]
+        return pd.DataFrame(rows, columns=["structure", "free", "score_less_best", "chi2_over_dof"])
+
     def describe(self) -> Description:
         """The ladder, the best structure first."""
         rows = tuple(
-            (
-                rung.name,
-                str(len(rung.structure.free)),
-                plain(rung.score - self.chosen.score, 4),
-                plain(rung.sketch.chi2 / rung.sketch.dof, 3),
-            )
-            for rung in self.rungs
+            (row.structure, str(row.free), plain(row.score_less_best, 4), plain(row.chi2_over_dof, 3))
+            for row in self.to_frame().itertuples()
         )
         return Description(
             title=f"Structures tried for {self.condition}",

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
 from armperturb.analysis.arm.linear_arm import Delay
@@ -26,13 +27,15 @@ from armperturb.analysis.fit.structures import MODEL_3_WIDE, STRUCTURES, Structu
 from armperturb.analysis.measures.vaf import trial_vaf
 from armperturb.analysis.per_trials import per_trials
 from armperturb.analysis.response.spectra import LINES_PER_AVERAGE, single_trial_spectra
-from armperturb.analysis.results import Description, Result, Table, plain
+from armperturb.analysis.results import Description, Result, Table, plain, quantile
 from armperturb.analysis.trials import ConditionTrials, Trials, prepared
 from armperturb.arrays import Array
 from armperturb.environment import Environment
+from armperturb.recording import LABELS
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -161,6 +164,46 @@ class ThesisEstimate(Result):
                 "sem_over_value": np.divide(np.abs(sem), np.abs(mean), out=np.full_like(sem, np.inf), where=mean != 0),
             }
         )
+
+    def to_xarray(self) -> xr.Dataset:
+        """`value` and `sem`, SI, (trial, parameter), `stable`, (trial,), and `vaf` [%], (trial, axis)."""
+        of_trial = ("trial", "parameter")
+        return xr.Dataset(
+            {
+                "value": (of_trial, self.values),
+                "sem": (of_trial, self.sem),
+                "stable": ("trial", self.stable),
+                "vaf": (("trial", "axis"), self.vaf, {"units": "%"}),
+            },
+            {
+                "parameter": list(self.parameters),
+                "unit": ("parameter", [unit(name) for name in self.parameters]),
+                "axis": list(LABELS["axis"]),
+                "subject": ("trial", list(self.subjects)),
+            },
+        )
+
+    def plot(self, figure: "Figure | None" = None) -> Any:
+        """Draw each person's mean over trials, with 95 % intervals of its SEM (eq. 2.22), one panel per unit.
+
+        Args:
+          figure: where to draw; its height is set. None makes a new one of pyplot.
+
+        Returns:
+          Matplotlib axes, (unit,).
+        """
+        from armperturb.plots.parameters import plot_parameters
+
+        frames, subjects = {}, np.array(self.subjects)
+        for name in dict.fromkeys(self.subjects):
+            mine = np.flatnonzero(subjects == name)
+            frame = replace(
+                self, subjects=(name,) * len(mine), fits=tuple(self.fits[k] for k in mine), vaf=self.vaf[mine]
+            ).to_frame()
+            half = quantile(0.95) * frame["sem"]
+            limits = {"lower_95": frame["value"] - half, "upper_95": frame["value"] + half}
+            frames[name] = frame.assign(**limits, at_bound=frame["parameter"].isin(list(self.at_bound)))
+        return plot_parameters(frames, figure)
 
 
 def _mean_and_sd(values: Array) -> tuple[Array, Array]:

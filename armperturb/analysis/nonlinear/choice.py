@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from scipy import stats
 
 from armperturb.analysis.nonlinear.draws import predict_with_stable_noise
@@ -138,6 +139,15 @@ class Choice(Result):
         estimate = self.judged[self.chosen].estimate
         assert estimate is not None
         return estimate
+
+    def to_frame(self) -> pd.DataFrame:
+        """One row per law: log-likelihood of left-out trials, and what it gains over the law chosen before it [-]."""
+        unknown = Gain(math.nan, math.nan, 0)
+        rows = []
+        for law, judged in self.judged.items():
+            gain = self.gains.get(law, unknown)
+            rows.append((law, float(judged.log_likelihood.sum()), gain.mean, gain.standard_error, law == self.chosen))
+        return pd.DataFrame(rows, columns=["law", "log_likelihood", "gain", "standard_error", "is_chosen"])
 
     def describe(self) -> Description:
         """Which law was chosen, and why."""

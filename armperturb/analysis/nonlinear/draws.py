@@ -32,8 +32,8 @@ bears makes it twice as much; beyond that the arm runs away, by several times wh
 are up to 10^5 times as large."""
 
 MOST_ATTEMPTS = 20
-"""How often the noise of a trial is drawn anew at a state: where a search has left the arm nearer to instability than the
-person's, hardly any noise is borne."""
+"""How often the noise of a trial is drawn anew at a state. Where a search has come nearer to instability than the
+person, hardly any noise is borne."""
 
 LEAST_SHARE = 0.25
 """Least share of the information without noise that counts, see `inverse_of_mixed` [-]."""

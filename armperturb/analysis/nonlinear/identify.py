@@ -83,6 +83,24 @@ class NonlinearIdentification(Result):
         """One row per free parameter, with the columns of `results.PARAMETER_COLUMNS`."""
         return self.estimate.to_frame()
 
+    def to_xarray(self) -> xr.Dataset:
+        """The estimate (see `FitResult.to_xarray`) and the left-out pulses, if there are any.
+
+        Of these, `recorded` and `predicted` are displacements of the handle [m], (pulse, time, axis) and (model, pulse,
+        time, axis); after the end of a shorter one they are NaN.
+        """
+        data, pulses = self.estimate.to_xarray(), self.pulses["nonlinear"]
+        if not pulses:
+            return data
+        labels = ["condition", "direction_deg"]
+        each = {
+            model: xr.concat([pulse.to_xarray().drop_vars(labels) for pulse in of_model], "pulse", join="outer")
+            for model, of_model in self.pulses.items()
+        }
+        predicted = xr.concat([of_model["predicted"] for of_model in each.values()], pd.Index(list(each), name="model"))
+        coords = {label: ("pulse", [getattr(pulse, label) for pulse in pulses]) for label in labels}
+        return data.merge(each["nonlinear"].assign(predicted=predicted).assign_coords(coords))
+
     def pulse_frame(self) -> pd.DataFrame:
         """One row per left-out pulse and model: predicted over recorded peak, and variance accounted for [%]."""
         rows = [

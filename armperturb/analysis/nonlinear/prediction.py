@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
+import xarray as xr
 
 from armperturb.analysis.arm.state_space import simulate_linear
 from armperturb.analysis.measures.pulse import WINDOWS, is_cut, peak_norm
@@ -54,6 +55,19 @@ class PulsePrediction(Result):
             for column, axis in enumerate(LABELS["axis"])
         }
         return pd.DataFrame({"time_s": self.time, **columns})
+
+    def to_xarray(self) -> xr.Dataset:
+        """Recorded and predicted displacement of the handle [m], (time, axis), time from the onset [s]."""
+        signals = {"recorded": self.recorded, "predicted": self.predicted}
+        return xr.Dataset(
+            {name: (("time", "axis"), values, {"units": "m"}) for name, values in signals.items()},
+            {
+                "time": ("time", self.time, {"units": "s"}),
+                "axis": list(LABELS["axis"]),
+                "condition": self.condition,
+                "direction_deg": self.direction_deg,
+            },
+        )
 
     def plot(self, figure: "Figure | None" = None) -> Any:
         """Draw displacement along x and y, as recorded and as predicted.

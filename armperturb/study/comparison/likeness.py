@@ -127,6 +127,17 @@ class Likeness(Result):
         """A row per quantity."""
         return self.table.copy()
 
+    def to_xarray(self) -> xr.Dataset:
+        """`gains` of the arm, (frequency, gain), and `reference_gains` of people, (person, frequency, gain) [m/N]."""
+        units = {"units": "m/N"}
+        return xr.Dataset(
+            {
+                "gains": (("frequency", "gain"), self.gains, units),
+                "reference_gains": (("person", "frequency", "gain"), self.reference_gains, units),
+            },
+            {"frequency": ("frequency", self.frequency, {"units": "Hz"}), "gain": ["larger", "smaller"]},
+        )
+
     @in_style()
     def plot(self, figure: "Figure | None" = None) -> Any:
         """Draw both gains of the admittance, with those of people as bands of two standard deviations.

@@ -6,8 +6,10 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 
 from armperturb.analysis.cuts import of_condition
@@ -17,13 +19,16 @@ from armperturb.analysis.fit.maximum_likelihood import Estimate
 from armperturb.analysis.fit.structures import structure_of
 from armperturb.analysis.fit.thesis import ThesisEstimate
 from armperturb.analysis.response.spectra import SpectralEstimate, single_trial_spectra
-from armperturb.analysis.results import Description, Result
+from armperturb.analysis.results import PARAMETER_COLUMNS, Description, Result
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
 from armperturb.recording_files import load_recording
 from armperturb.study.protocol import NEEDED, Condition, Protocol
 from armperturb.study.results.quantities import multisine_window
 from armperturb.subject import Subject
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 LOG = logging.getLogger(__name__)
 
@@ -66,6 +71,22 @@ class Case(Result):
             return Description(title=f"{self.name} in {self.condition.name}: not identified", remarks=self.left_out)
         said = self.identification.describe()
         return replace(said, remarks=(*said.remarks, *self.left_out))
+
+    def to_frame(self) -> pd.DataFrame:
+        """One row per free parameter (see `Identification.to_frame`); none where the case is not identified."""
+        if self.identification is None:
+            return pd.DataFrame(columns=list(PARAMETER_COLUMNS))
+        return self.identification.to_frame()
+
+    def plot(self, figure: "Figure | None" = None) -> Any:
+        """Draw the estimated admittance and that of the fitted arm, see `Identification.plot`.
+
+        Raises:
+          ValueError: the case is not identified.
+        """
+        if self.identification is None:
+            raise ValueError(f"{self.name} in {self.condition.name}: not identified; expected a case with an arm")
+        return self.identification.plot(figure)
 
     @property
     def model(self) -> str:

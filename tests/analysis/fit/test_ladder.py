@@ -36,6 +36,10 @@ def test_right_structure_is_chosen_and_its_parameters_are_right(grip, reflex):
     assert np.abs(error).max() < 4.0
     assert f"structure chosen: inertia free, grip {grip}, reflex {reflex}; runner-up: " in fit.remarks[0]
     assert [rung.score for rung in fit.choice.rungs] == sorted(rung.score for rung in fit.choice.rungs)
+    frame = fit.choice.to_frame()
+    assert frame["structure"].tolist() == [rung.name for rung in fit.choice.rungs]
+    assert frame["score_less_best"].iloc[0] == 0.0
+    assert (frame["score_less_best"].diff()[1:] >= 0.0).all()
 
 
 @pytest.mark.slow(reason="simulates and identifies a recording")

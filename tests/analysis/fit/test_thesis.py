@@ -22,6 +22,7 @@ from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Multisine
+from armperturb.plots.style import new_figure
 from armperturb.study.published import tables as published
 from armperturb.study.report.tables import true_value
 from armperturb.subject import POSITION
@@ -66,6 +67,14 @@ def test_averages_are_over_trials_and_then_over_subjects(estimate):
     of_first, of_other = estimate.values[:3].mean(axis=0), estimate.values[3]
     np.testing.assert_allclose(mean, (of_first + of_other) / 2)
     np.testing.assert_allclose(sd, np.abs(of_first - of_other) / np.sqrt(2))
+    data = estimate.to_xarray()
+    of_people = data["value"].groupby("subject").mean("trial").sel(parameter="k_s")
+    assert float(of_people.mean()) == pytest.approx(mean[estimate.parameters.index("k_s")])
+    assert data["vaf"].sizes == {"trial": 4, "axis": 2}
+    panels = estimate.plot(new_figure(1.0))
+    assert len(panels) == len(set(data["unit"].values.tolist()))
+    drawn = {float(line.get_xdata()[0]) for ax in panels for line in ax.get_lines() if line.get_marker() == "o"}
+    assert {float(value) for value in of_people} <= drawn
     rows = {row["parameter"]: row for row in estimate.to_frame().to_dict("records")}
     assert rows["k_s"]["value"] == pytest.approx(mean[estimate.parameters.index("k_s")])
     assert rows["k_s"]["sem_over_value"] == pytest.approx(rows["k_s"]["sem"] / rows["k_s"]["value"])

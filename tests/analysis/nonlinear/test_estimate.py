@@ -2,10 +2,12 @@
 
 import copy
 from dataclasses import replace
+from types import SimpleNamespace
 
 import nonlinear_trials as made
 import numpy as np
 import pytest
+import xarray as xr
 
 from armperturb.analysis.nonlinear import identify
 from armperturb.analysis.nonlinear.choice import Choice, Gain, Judged, compare_laws, left_out_likelihood
@@ -318,6 +320,14 @@ def test_pulses_of_the_true_person_are_predicted_and_those_of_a_linear_arm_are_n
     assert max(linear.vaf, skeletal.vaf) < 95.0
     assert not np.allclose(linear.predicted, skeletal.predicted, rtol=0.01)
     assert predict_pulses(recorded.before(600), PERSON) == []  # the window is not recorded
+    shorter = replace(skeletal, **{each: getattr(skeletal, each)[:-9] for each in ("time", "recorded", "predicted")})
+    models = {"nonlinear": (itself, itself), "skeletal": (skeletal, shorter)}
+    nothing = SimpleNamespace(to_xarray=xr.Dataset)
+    data = identify.NonlinearIdentification(estimate=nothing, choice=None, arms={}, pulses=models).to_xarray()
+    np.testing.assert_array_equal(data["recorded"], np.stack([itself.recorded] * 2))
+    np.testing.assert_array_equal(data["predicted"].sel(model="skeletal").isel(pulse=0), skeletal.predicted)
+    assert data["predicted"].sel(model="skeletal").isnull().sum(["time", "axis"]).values.tolist() == [0, 18]
+    assert data["direction_deg"].values.tolist() == [27.0, 27.0]
     assert remarks_on_peaks([itself]) == []
     cut = replace(itself, recorded=itself.recorded[: np.linalg.norm(itself.recorded, axis=1).argmax() + 1])
     assert remarks_on_peaks([itself, cut])[0].startswith("after 1 of 2 left-out pulses the handle is farthest")
@@ -347,6 +357,10 @@ def test_left_out_trials_choose_the_law(noisy, once, truth):
     assert found.chosen == truth
     assert ("these trials do not show short-range stiffness" in " ".join(found.verdict())) == (truth == "linear")
     assert found.estimate.model.law == truth
+    frame = found.to_frame().set_index("law")
+    assert frame.index[frame["is_chosen"]].tolist() == [truth]
+    rise = frame["log_likelihood"].diff().loc["short-range"]
+    assert rise == pytest.approx(frame.loc["short-range", "gain"])
 
 
 def judged(values):

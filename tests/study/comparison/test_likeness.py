@@ -41,6 +41,10 @@ def test_a_person_is_human_and_an_arm_of_iron_is_not():
         assert set(told_apart.to_frame()["group"]) == {"admittance", "ellipses", "parameters"}
         assert [set(told_apart.to_frame()[name]) for name in ("condition", "subject")] == [{"PT"}, {"position"}]
         assert len(told_apart.plot()) == 2
+    data = human.to_xarray()
+    assert data["reference_gains"].dims == ("person", "frequency", "gain")
+    np.testing.assert_array_equal(data["gains"].sel(gain="larger"), human.gains[:, 0])
+    assert (data["gains"].sel(gain="larger") >= data["gains"].sel(gain="smaller")).all()
 
 
 @pytest.mark.slow(reason="analyses several studies")
