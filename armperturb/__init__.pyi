@@ -7,12 +7,15 @@ from .analysis.emg.reflex import reflexes as reflexes
 from .analysis.fit.emg_likelihood import ElectromechanicalDelay as ElectromechanicalDelay
 from .analysis.fit.identify import identify as identify
 from .analysis.fit.identify import identify_conditions as identify_conditions
+from .analysis.fit.own_structures import composed as composed
+from .analysis.fit.own_structures import inertia_prior as inertia_prior
 from .analysis.fit.own_structures import load_structure as load_structure
 from .analysis.fit.own_structures import save_structure as save_structure
 from .analysis.fit.structures import STRUCTURES as STRUCTURES
 from .analysis.fit.structures import Structure as Structure
 from .analysis.fit.use_emg import UseOfEmg as UseOfEmg
 from .analysis.joint.identify import identify_joint as identify_joint
+from .analysis.measures.start_geometry import in_start_geometry as in_start_geometry
 from .analysis.measures.vaf import variance_accounted_for as variance_accounted_for
 from .analysis.nonlinear.identify import identify_nonlinear as identify_nonlinear
 from .analysis.response.best_linear import best_linear as best_linear
@@ -31,6 +34,7 @@ from .convert.importer import import_recording as import_recording
 from .convert.template import write_sidecar as write_sidecar
 from .environment import Environment as Environment
 from .environment import Strap as Strap
+from .envs.lab.emg import Emg as Emg
 from .envs.lab.experiment import run_experiment as run_experiment
 from .envs.lab.instruments import Instruments as Instruments
 from .envs.lab.joint_experiment import JointTrial as JointTrial
@@ -41,6 +45,8 @@ from .envs.lab.trial import Trial as Trial
 from .envs.learning.agent_recording import record_agent as record_agent
 from .envs.learning.policy import trained_policy as trained_policy
 from .envs.learning.registration import load_dm_env as load_dm_env
+from .envs.render.clip import Clip as Clip
+from .envs.render.replay import Replay as Replay
 from .envs.render.video import write_video as write_video
 from .joined_recordings import stack_trials as stack_trials
 from .joint_person import JointPerson as JointPerson
@@ -70,6 +76,7 @@ from .study.recording.settings import StudySettings as StudySettings
 from .study.report.report import write_report as write_report
 from .study.results.analyse import analyse_study as analyse_study
 from .study.results.analyse import run_study as run_study
+from .study.results.settings import AnalysisSettings as AnalysisSettings
 from .study.validation.settings import ValidateSettings as ValidateSettings
 from .study.validation.validate import validate as validate
 from .subject import POSITION as POSITION
