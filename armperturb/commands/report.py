@@ -1,6 +1,6 @@
 """`armperturb report`."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -13,6 +13,9 @@ MOST_NAMES = 6
 
 LAST_STAGE = "armperturb.study.report.report"
 """Module of the stage that needs the code of all others."""
+
+NONLINEAR = {"RT": 90.0, "PT": 270.0}
+"""Task to the usual share of the time of its nonlinear fits, see `analysis_stages`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +44,7 @@ class Report(Command):
 
         if self.fresh:
             forget_results(self.folder, self.nonlinear)
-        shares = analysis_stages(nonlinear=bool(self.nonlinear))
+        shares = analysis_stages(self.nonlinear)
         with stages(shares), recalled_results() as recalled, kept_workers(LAST_STAGE):
             result = analyse_study(self.folder, workers=self.workers, nonlinear=self.nonlinear)
             path = write_report(result, self.folder, workers=self.workers)
@@ -56,7 +59,12 @@ def kept_lines(recalled: Sequence[Path]) -> list[str]:
     return [f"recalled from analysis/ (--fresh computes them anew): {', '.join(names)}"] if names else []
 
 
-def analysis_stages(*, nonlinear: bool) -> dict[str, float]:
-    """Stages of the analysis of a study and of its report, to their usual shares of the time."""
-    fits = {"nonlinear fits": 300.0, "nonlinear fits with pulses": 300.0} if nonlinear else {}
+def analysis_stages(nonlinear: Collection[str]) -> dict[str, float]:
+    """Stages of the analysis of a study and of its report, to their usual shares of the time.
+
+    Args:
+      nonlinear: tasks in which everybody is identified nonlinearly.
+    """
+    of_fits = sum(NONLINEAR[task] for task in nonlinear)
+    fits = {"nonlinear fits": of_fits, "nonlinear fits with pulses": 1.5 * of_fits} if nonlinear else {}
     return {"analysis": 40.0, **fits, "figures": 12.0, "figures of the muscle law": 1.0}

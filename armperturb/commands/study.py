@@ -49,7 +49,7 @@ class Study(Command):
         from armperturb.workers import kept_workers
 
         ahead = (partial(compile_simulations, self.settings.engine), compile_fits)
-        shares = {"recording": RECORDING} | analysis_stages(nonlinear=bool(self.nonlinear))
+        shares = {"recording": RECORDING} | analysis_stages(self.nonlinear)
         with stages(shares), recalled_results(), kept_workers(LAST_STAGE, ahead=ahead):
             result = run_study(
                 self.settings,
