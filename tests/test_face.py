@@ -4,6 +4,7 @@ import inspect
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 import armperturb
@@ -80,3 +81,19 @@ def test_importing_is_quick_and_loads_no_heavy_library():
 )
 def test_gymnasium_knows_the_environments(lines):
     in_python(*lines)
+
+
+def test_what_holds_signals_has_a_short_text():
+    samples = np.zeros((1000, 2))
+    made = armperturb.make_recording(
+        {"perturbation": samples[None] + 1.0, "force": samples[None], "displacement": samples[None]},
+        {"subject": ["A"], "task": ["RT"], "condition": ["RT7.5"], "repetition": [0], "pulse_level": [0.0]}
+        | {name: [np.nan] for name in ("pulse_direction", "pulse_onset", "limit_time")}
+        | dict(l_h=[0.33], l_f=[0.34], theta_s_deg=[22.5], theta_e_deg=[82.3]),
+        200.0,
+    )
+    assert repr(armperturb.ConditionTrials.prepare(made)) == "<A in RT7.5: 1 x 5 s>"
+    played = armperturb.Sampled(force=samples, rate=200.0)
+    drawn = armperturb.Multisine.draw(seed=0, rms=1.0, duration=5.0)
+    for perturbation in (played, drawn):
+        assert "array" not in repr(armperturb.Trial(subject=armperturb.RELAX, perturbation=perturbation))

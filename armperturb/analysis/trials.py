@@ -2,9 +2,7 @@
 
 Every estimator takes `ConditionTrials`, or a recording that `prepare` turns into them. What several estimators need is
 computed when it is first asked for, and kept with the trials (`per_trials`): manipulator and instrument noise, the
-period, spectra.
-
-A trial is used up to its pulse; `cuts` says where that is.
+period, spectra. A trial is used up to its pulse; `cuts` says where that is.
 """
 
 from collections.abc import Iterable, Sequence
@@ -51,7 +49,7 @@ class TrialRecord(NamedTuple):
     rate: float
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ConditionTrials:
     """Trials of one person in one condition.
 
@@ -72,7 +70,7 @@ class ConditionTrials:
     given_covariance: Array | None = None
     last: int | None = None
     copies: Lines = field(default_factory=dict)
-    results: dict[object, Any] = field(default_factory=dict, init=False, repr=False)
+    results: dict[object, Any] = field(default_factory=dict, init=False)
 
     @classmethod
     def prepare(cls, recording: xr.Dataset, *, is_checked: bool = False) -> Self:
@@ -88,6 +86,9 @@ class ConditionTrials:
         if not is_checked:
             check_recording(recording)
         return cls(**without_copies(recording)._asdict())
+
+    def __repr__(self) -> str:
+        return f"<{self.name} in {self.label}: {self.n_trials} x {self.n_samples / self.rate:g} s>"
 
     @cached_property
     def label(self) -> str:
@@ -384,8 +385,7 @@ def prepared_recordings(recordings: SeveralTrials, *, one_rate: bool = True) -> 
       TypeError: it is something else.
       ValueError: there is none, one is refused, or rates differ.
     """
-    several = as_list("recordings", recordings, (ConditionTrials, xr.Dataset), EXPECTED)
-    trials = [prepared(recording) for recording in several]
+    trials = [prepared(each) for each in as_list("recordings", recordings, (ConditionTrials, xr.Dataset), EXPECTED)]
     rates = sorted({part.rate for part in trials})
     if one_rate and len(rates) > 1:
         raise ValueError(f"recordings: rate = {', '.join(f'{rate:g}' for rate in rates)} Hz; expected one rate")

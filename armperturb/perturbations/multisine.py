@@ -1,7 +1,7 @@
 """The continuous perturbation: a crested multisine of reduced power (thesis 2.4, fig. 2.5)."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
@@ -73,7 +73,7 @@ class Multisine:
     """
 
     rms: float
-    phases: np.ndarray
+    phases: np.ndarray = field(repr=False)
     reduced: str = "power"
     duration: float = 32.0
 

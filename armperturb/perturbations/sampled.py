@@ -2,7 +2,7 @@
 
 import csv
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -43,7 +43,7 @@ class Sampled:
       ValueError: rate or a force is not finite, rate is not positive, or the force has the wrong shape.
     """
 
-    force: np.ndarray
+    force: np.ndarray = field(repr=False)
     rate: float
 
     def __post_init__(self) -> None:
