@@ -24,7 +24,7 @@ from armperturb.analysis.joint.signals import JointSignals
 from armperturb.analysis.results import Interval
 from armperturb.arrays import Array
 
-DELAYS = (0.02, 0.035, 0.05, 0.065, 0.08, 0.1)
+DELAYS = (0.02, 0.035, 0.05, 0.065, 0.08, 0.1, 0.12, 0.14, 0.16, 0.18)
 """Delays from which a search may start [s]."""
 
 FREQUENCIES = (1.5, 3.0)

@@ -15,7 +15,7 @@ more than noise does, as it does next to a jump, bands count by how much, withou
 """
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Literal, NamedTuple
 
@@ -31,7 +31,7 @@ from armperturb.analysis.joint.choice import ScoredStructure, score_of, structur
 from armperturb.analysis.joint.model import DYNAMICS, REFLEXES, JointStructure, Reflex
 from armperturb.analysis.joint.prediction import explained
 from armperturb.analysis.joint.remarks import cut_short
-from armperturb.analysis.joint.signals import TOP, JointSignals, joint_signals, mean_angle
+from armperturb.analysis.joint.signals import EDGE, TOP, JointSignals, joint_signals, mean_angle
 from armperturb.analysis.joint.torque_likelihood import BlockScore
 from armperturb.analysis.joint_balance import impossible_joint
 from armperturb.analysis.varying.likelihood import STRETCH, VaryingLikelihood
@@ -40,7 +40,7 @@ from armperturb.analysis.varying.result import Curve, VaryingEstimate
 from armperturb.arrays import Array, Indices
 from armperturb.copied_trials import without_copies
 from armperturb.recording import check_recording, labels_of, named
-from armperturb.validation import require_number, require_one_of
+from armperturb.validation import require_number, require_one_of, require_whole
 
 Variable = Literal["time", "scheduling"]
 
@@ -80,8 +80,9 @@ LITTLE = 10.0
 
 N_FOLDS = 5
 
-DELAYS, FREQUENCIES = (0.03, 0.045, 0.06), (3.0, 6.0)
-"""Delays [s] and natural frequencies [Hz] of the reflex path from which the search may start."""
+DELAYS, FREQUENCIES = tuple(np.linspace(0.02, 0.18, 9).tolist()), (1.5, 3.0, 6.0)
+"""Delays [s] and natural frequencies [Hz] of the reflex path from which the search may start: from one that is 30 ms
+off, it may end at a gain of the wrong sign."""
 
 
 class _Search:
@@ -150,8 +151,9 @@ def identify_varying(
     require_one_of("identify_varying", "reflex", reflex, (None, *REFLEXES))
     one_condition([recording])
     each_once = without_copies(recording)
+    require_whole("identify_varying", "n_points", n_points, at_least=2)
     (recording,), left_out = inside_limit([each_once.recording])
-    last = float(recording["time"].values[-1])
+    last = float(recording["time"].values[-1]) - 2.0 * EDGE
     require_number("identify_varying", "fit_until", fit_until, above=0.0, at_most=last, optional=True)
     ensemble, rate = variable == "time", float(recording.attrs["rate"])
     if ensemble and fit_until is not None:
@@ -161,8 +163,17 @@ def identify_varying(
         )
     fitted = recording if fit_until is None else recording.isel(time=slice(0, round(fit_until * rate)))
     reference = mean_angle(fitted)
-    signals, place = _recorded(fitted, ensemble, reference)
+    try:
+        signals, place = _recorded(fitted, ensemble, reference)
+    except ValueError as error:
+        left = "; ".join([*each_once.remarks, *left_out])
+        raise ValueError(f"{error} ({left})" if left else str(error)) from None
     low, high = float(place[:, signals.used].min()), float(place[:, signals.used].max())
+    if low == high:
+        raise ValueError(
+            f"recording: scheduling is {low:g} all the time; expected one that changes (identify_joint takes "
+            "parameters that do not)"
+        )
     tried = []
     for structure in structures(reflex):
         names = ("stiffness", "damping", *(() if structure.reflex == "none" else ("gain",)))
@@ -188,6 +199,8 @@ def identify_varying(
     }
     model, values = solution.model, solution.values
     dynamics = dict(zip(model.dynamics, map(float, values[model.n_linear :]), strict=True))
+    inside = _Search(likelihood, values).inside(values)
+    at_bound = [name for place, name in enumerate(model.dynamics, model.n_linear) if place not in inside]
     if ensemble and "gain" in curves:
         # What the reflex answers to so late acts when the record is over.
         reach = dynamics["reflex_delay"] + 1.0 / (2 * np.pi * dynamics["reflex_frequency"])
@@ -213,13 +226,20 @@ def identify_varying(
         held_out_vaf=None if fit_until is None else explained(torque[:, held], predicted[:, held]),
         n_trials=len(torque),
         n_groups=len(solution.influence),
-        remarks=(*each_once.remarks, *impossible_joint(recording), *left_out, *_remarks(model, vaf)),
+        remarks=(*each_once.remarks, *impossible_joint(recording), *left_out, *_remarks(model, at_bound, vaf)),
     )
 
 
-def _remarks(model: VaryingModel, vaf: float) -> list[str]:
-    """Why curves may be wrong, without full stop each."""
+def _remarks(model: VaryingModel, at_bound: Sequence[str], vaf: float) -> list[str]:
+    """Why curves may be wrong, without full stop each.
+
+    Args:
+      model: that was fitted.
+      at_bound: parameters of the reflex path that sit on a bound.
+      vaf: share of the torque that it explains [%].
+    """
     said = [cut_short(model.structure.reflex, model.signals.top, model.signals.beyond)]
+    said += [f"{name} sits on a bound: the reflex path may be another" for name in at_bound]
     if vaf < LITTLE:
         said.append(
             f"the model explains only {vaf:.1f} % of the torque: what it leaves is taken to be noise, and curves tell "

@@ -88,6 +88,32 @@ def test_derivatives_are_those_of_differences(threshold):
 
 
 @pytest.mark.slow(reason="chooses among many numbers of splines")
+def test_a_reflex_of_long_latency_has_the_gain_of_its_sign():
+    angle, torque = measured(100.0, 16, 1.5, 0.1)
+    late = 3.0 * ReflexPath(angle.shape[1], RATE).torque(derivative(angle), 0.12, 3.0, 0.8)
+    estimate = identify_varying(recorded(angle, torque + late), reflex="linear")
+    assert estimate.dynamics["reflex_delay"] == pytest.approx(0.12, abs=0.01)
+    assert np.median(estimate.curves["gain"].value) == pytest.approx(3.0, rel=0.15)
+    assert not any("sits on a bound" in remark for remark in estimate.remarks)
+
+
+def test_what_cannot_be_estimated_is_refused_with_its_cause():
+    angle, torque = measured(100.0, 5, 1.5, 0.3)
+    limited = recorded(angle, torque)
+    limited = limited.assign_coords(limit_time=("trial", [np.nan, np.nan, 1.4, 1.4, 1.4]))
+    with pytest.raises(ValueError, match=r"recording: 2 trials; expected an ensemble of at least 4 .*limit"):
+        identify_varying(limited)
+    still = recorded(angle, torque, scheduling=np.ones_like(angle))
+    with pytest.raises(ValueError, match="recording: scheduling is 1 all the time; expected one that changes"):
+        identify_varying(still, "scheduling")
+    moving = recorded(angle, torque, scheduling=np.cumsum(np.ones_like(angle), axis=1))
+    with pytest.raises(ValueError, match=r"fit_until = 1.45; expected a finite number above 0 and at most 1.29"):
+        identify_varying(moving, "scheduling", fit_until=1.45)
+    with pytest.raises(ValueError, match="n_points = 0; expected a finite number at least 2"):
+        identify_varying(limited, n_points=0)
+
+
+@pytest.mark.slow(reason="chooses among many numbers of splines")
 def test_stiffness_over_time_is_estimated_with_bands_and_constants_stay_constant():
     time = np.arange(round(1.5 * RATE)) / RATE
     true = 100.0 + 40.0 * np.sin(np.pi * time)
