@@ -170,10 +170,7 @@ def identify_varying(
         raise ValueError(f"{error} ({left})" if left else str(error)) from None
     low, high = float(place[:, signals.used].min()), float(place[:, signals.used].max())
     if low == high:
-        raise ValueError(
-            f"recording: scheduling is {low:g} all the time; expected one that changes (identify_joint takes "
-            "parameters that do not)"
-        )
+        raise ValueError(f"recording: scheduling is {low:g} throughout; expected one that changes (or identify_joint)")
     tried = []
     for structure in structures(reflex):
         names = ("stiffness", "damping", *(() if structure.reflex == "none" else ("gain",)))

@@ -1,5 +1,6 @@
 """The sections of the report, in order: title, template, and the values that the template shows."""
 
+import itertools
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
@@ -158,6 +159,10 @@ def sections(
     return {template: contexts[template] for template in WORDS["sections"] if template in contexts}
 
 
+ALIKE = 0.15
+"""Difference of two movements, of their logarithms, up to which they count as equal [-]."""
+
+
 def _of_amplitude(study: StudyResult) -> bool:
     """Whether conditions that are compared differ in the amplitude of their movement."""
     of_tasks = [perturbed_conditions(study, task) for task in TASKS]
@@ -166,13 +171,13 @@ def _of_amplitude(study: StudyResult) -> bool:
 
 
 def _force_of_holding(rows: Sequence[Row]) -> float:
-    """RMS force in the position task over that in the relax task at the same intended movement, geometric mean [-]."""
-    of_task: dict[str, dict[float, float]] = {task: {} for task in TASKS}
-    for row in rows:
-        if row["force_N_mean"] > 0.0 and row["intended_displacement_m"] > 0.0:
-            of_task[row["task"]][row["intended_displacement_m"]] = row["force_N_mean"]
-    position, relax = of_task["PT"], of_task["RT"]
-    ratios = [position[each] / relax[each] for each in position if each in relax]
+    """RMS force in the position task over that in the relax task where both move people alike, geometric mean [-]."""
+    of_task = {task: [row for row in rows if row["task"] == task and row["force_N_mean"] > 0.0] for task in TASKS}
+    ratios = [
+        position["force_N_mean"] / relax["force_N_mean"]
+        for position, relax in itertools.product(of_task["PT"], of_task["RT"])
+        if abs(math.log(position["displacement_m_mean"] / relax["displacement_m_mean"])) < ALIKE
+    ]
     return float(np.exp(np.mean(np.log(ratios)))) if ratios else math.nan
 
 

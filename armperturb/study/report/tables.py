@@ -125,6 +125,7 @@ def condition_rows(study: StudyResult) -> list[Row]:
     rows = []
     for condition in study.protocol.conditions:
         cases = [case for case in study.cases if case.condition.name == condition.name]
+        is_intended = condition.has_multisine and study.made is not None
         force, displacement = (
             published_or_nan(source, condition.name) for source in (published.applied_force, published.rms_displacement)
         )
@@ -137,7 +138,7 @@ def condition_rows(study: StudyResult) -> list[Row]:
                 "published_force_N_mean": force.mean,
                 "published_force_N_sd": force.sd,
                 **mean_sd_of("force_N", [case.force for case in cases]),
-                "intended_displacement_m": condition.rms_displacement if condition.has_multisine else math.nan,
+                "intended_displacement_m": condition.rms_displacement if is_intended else math.nan,
                 "published_displacement_m_mean": displacement.mean,
                 "published_displacement_m_sd": displacement.sd,
                 **mean_sd_of("displacement_m", [case.displacement for case in cases]),

@@ -26,7 +26,7 @@ from armperturb.study.results.appendix_fits import Appendices, Key, SecondStep, 
 from armperturb.study.results.cache import CachedResult, Unit, computed, kept_or_computed, reusable
 from armperturb.study.results.cases import Case, warn_of_short_multisines
 from armperturb.study.results.emg import PersonEmg, person_emg
-from armperturb.study.results.laboratory import recorded_protocol
+from armperturb.study.results.laboratory import as_measured, recorded_protocol
 from armperturb.study.results.mean_admittance import main_conditions
 from armperturb.study.results.nonlinear_fits import NonlinearFit, fit_nonlinear
 from armperturb.study.results.person import PersonResults, analyse_person
@@ -268,13 +268,17 @@ class _Study:
 
     def result(self, people: Mapping[Path, PersonResults]) -> StudyResult:
         """The study with what each recording tells by itself."""
+        cases = tuple(self.with_truth(case) for person in people.values() for case in person.cases)
+        protocol = self.protocol
+        if self.made is None:
+            protocol, cases = as_measured(protocol, cases)
         return StudyResult(
             made=self.made,
-            protocol=self.protocol,
+            protocol=protocol,
             environment=self.environment if self.made else _measured(people.values()),
             recorded=self.recorded,
             cohort=self.cohort,
-            cases=tuple(self.with_truth(case) for person in people.values() for case in person.cases),
+            cases=cases,
             recordings={person.measures.name: path for path, person in people.items()},
             people=tuple(person.measures for person in people.values()),
         )

@@ -7,9 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import xarray as xr
 
 from armperturb.recording_files import load_recording
 from armperturb.study.protocol import THESIS, Protocol
+from armperturb.study.results.cases import Case
 
 
 def recorded_protocol(root: Path, paths: Sequence[Path], missing: list[str]) -> tuple[Protocol, dict[str, int]]:
@@ -28,6 +30,7 @@ def recorded_protocol(root: Path, paths: Sequence[Path], missing: list[str]) -> 
     counts, levels, directions = Counter[str](), dict[str, set[float]](), set[float]()
     for path in paths:
         recording = load_recording(path, [])
+        _require_tasks(path, recording)
         names, pulsed = recording["condition"].values.tolist(), np.isfinite(recording["pulse_onset"].values)
         counts.update(names)
         given = zip(names, recording["pulse_level"].values, recording["pulse_direction"].values, pulsed, strict=True)
@@ -62,6 +65,38 @@ def recorded_protocol(root: Path, paths: Sequence[Path], missing: list[str]) -> 
         pulse_directions_deg=tuple(sorted(directions)) or THESIS.pulse_directions_deg,
     )
     return protocol, {condition.name: counts[condition.name] for condition in conditions}
+
+
+def _require_tasks(path: Path, recording: xr.Dataset) -> None:
+    """Refuse trials whose task is not that of the condition of the thesis that they are called."""
+    task_of = {condition.name: condition.task for condition in THESIS.conditions}
+    for name, task in zip(recording["condition"].values.tolist(), recording["task"].values.tolist(), strict=True):
+        if task != task_of.get(name, task):
+            raise ValueError(
+                f"{path}: task = {task!r} in condition {name}; expected {task_of[name]!r} (labels.task of the sidecar)"
+            )
+
+
+def as_measured(protocol: Protocol, cases: Sequence[Case]) -> tuple[Protocol, tuple[Case, ...]]:
+    """Conditions with the RMS displacement that people reached, as nobody knows what was intended.
+
+    Args:
+      protocol: as `recorded_protocol` has it.
+      cases: of all people.
+    """
+    reached: dict[str, list[float]] = {}
+    for case in cases:
+        if np.isfinite(case.displacement):
+            reached.setdefault(case.condition.name, []).append(case.displacement)
+    changed = {
+        condition.name: replace(condition, rms_displacement=float(np.mean(reached[condition.name])), reached=1.0)
+        for condition in protocol.conditions
+        if condition.has_multisine and condition.name in reached
+    }
+    conditions = tuple(changed.get(condition.name, condition) for condition in protocol.conditions)
+    return replace(protocol, conditions=conditions), tuple(
+        replace(case, condition=changed.get(case.condition.name, case.condition)) for case in cases
+    )
 
 
 def _command(path: Path) -> str:

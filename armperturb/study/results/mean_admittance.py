@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Collection, Iterable
+from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -14,6 +15,10 @@ from armperturb.subject import TASKS
 
 if TYPE_CHECKING:
     from armperturb.plots.bands import Curve
+
+
+APART = 1.1
+"""Ratio of two movements from which on they differ in amplitude [-]."""
 
 
 def by_task(study: StudyResult) -> dict[str, list[Condition]]:
@@ -38,8 +43,8 @@ def movement(condition: Condition) -> float:
 
 def differ_in_amplitude(conditions: Collection[Condition]) -> bool:
     """Whether conditions of a task differ in the amplitude of their movement and not in co-contraction."""
-    n_movements, n_levels = len(set(map(movement, conditions))), len({each.co_contraction for each in conditions})
-    return n_movements == len(conditions) and n_levels <= 1
+    sizes, levels = sorted(map(movement, conditions)), {each.co_contraction for each in conditions}
+    return all(larger > APART * size for size, larger in pairwise(sizes)) and len(levels) <= 1
 
 
 def main_conditions(study: StudyResult) -> dict[str, Condition]:

@@ -3,9 +3,11 @@
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import xarray as xr
 
 from armperturb.analysis.trials import trials_by_condition
+from armperturb.recording import ARM_LABELS
 from armperturb.study.protocol import Protocol
 from armperturb.study.results.appendix_fits import Fits, fit_person
 from armperturb.study.results.cases import Case, identify_person
@@ -39,8 +41,9 @@ def analyse_person(recording: xr.Dataset, path: Path, protocol: Protocol, settin
       settings: which fits are made.
 
     Raises:
-      ValueError: the recording holds several people.
+      ValueError: the recording holds several people, or does not say what the arm looks like.
     """
+    _require_arm(recording)
     conditions = trials_by_condition(recording, is_checked=True)
     cases = identify_person(conditions, path, protocol)
     identified = {case.condition.name for case in cases if case.identification is not None}
@@ -50,6 +53,16 @@ def analyse_person(recording: xr.Dataset, path: Path, protocol: Protocol, settin
         fits=fit_person(conditions, settings, {condition.name for condition in protocol.too_short()} - identified),
         missing=tuple(missing_trials(recording, protocol)),
     )
+
+
+def _require_arm(recording: xr.Dataset) -> None:
+    """Refuse a person whose segment lengths or posture are unknown: joints and models need them."""
+    unknown = [name for name in ARM_LABELS if np.isnan(recording[name].values).any()]
+    if unknown:
+        raise ValueError(
+            f"{', '.join(unknown)} unknown; expected the person's, which joints and models need (labels of the "
+            "sidecar), or a folder of recordings without this one (armperturb response takes it alone)"
+        )
 
 
 def missing_trials(recording: xr.Dataset, protocol: Protocol) -> list[str]:

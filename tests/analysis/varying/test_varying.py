@@ -104,7 +104,7 @@ def test_what_cannot_be_estimated_is_refused_with_its_cause():
     with pytest.raises(ValueError, match=r"recording: 2 trials; expected an ensemble of at least 4 .*limit"):
         identify_varying(limited)
     still = recorded(angle, torque, scheduling=np.ones_like(angle))
-    with pytest.raises(ValueError, match="recording: scheduling is 1 all the time; expected one that changes"):
+    with pytest.raises(ValueError, match="recording: scheduling is 1 throughout; expected one that changes"):
         identify_varying(still, "scheduling")
     moving = recorded(angle, torque, scheduling=np.cumsum(np.ones_like(angle), axis=1))
     with pytest.raises(ValueError, match=r"fit_until = 1.45; expected a finite number above 0 and at most 1.29"):

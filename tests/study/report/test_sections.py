@@ -220,4 +220,4 @@ def test_recordings_of_people_are_not_called_simulated(study):
     assert "full power up to 1.5" in simulated
     of_people = section(study, "method", ["pulse_signal", "perturbation"])
     assert "and the pulse enlarged." in of_people
-    assert "density of its multisine." in of_people
+    assert "density of its multisine, if it holds a whole period." in of_people

@@ -49,7 +49,12 @@ def perturbation(case: Case) -> Figure:
             zoom.plot(time[near], force[near, axis], color=colour, label=f"$d_{AXES[axis]}$")
         zoom.set(title="fade (grey) and pulse", xlabel="time [s]", ylabel="force [N]", xlim=(onset - 0.5, onset + 0.3))
         zoom.legend(loc="upper left")
-    _draw_density(density, line_spectra(trial), float(trial.attrs["rate"]))
+    try:
+        lines = line_spectra(trial)
+    except ValueError:  # no whole period, as of noise
+        density.set_axis_off()
+    else:
+        _draw_density(density, lines, float(trial.attrs["rate"]))
     return figure
 
 
