@@ -220,6 +220,8 @@ def _estimate(
     correlation = covariance / np.outer(error, error)
     at_bound = tuple(name for name, is_near in zip(names, near, strict=True) if is_near)
     remarks = [] if message == CONVERGED else [f"the search did not end at a maximum ({message})"]
+    alone = [task for (task, _), n in zip(problem.kinds, np.bincount(problem.kind_of), strict=True) if n == 1]
+    remarks += [f"{task}: one trial; intervals leave out what differs between trials" for task in dict.fromkeys(alone)]
     remarks += [
         f"the SD over trials of {quantity} [{task}] sits on its bound of {100.0 * MOST_SPREAD:.0f} %: "
         "trials differ by more, or the law is wrong"

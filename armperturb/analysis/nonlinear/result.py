@@ -18,6 +18,7 @@ from armperturb.analysis.nonlinear.model import (
     value_per_coordinate,
 )
 from armperturb.analysis.nonlinear.noise import Noise
+from armperturb.analysis.nonlinear.search import LEAST_SPREAD
 from armperturb.analysis.nonlinear.simulated import State
 from armperturb.analysis.results import Description, FitResult, Interval, inseparable, parameter_table, quantile
 from armperturb.arrays import Array
@@ -100,7 +101,8 @@ class NonlinearEstimate(FitResult):
         """Whose muscles they are, how the search ended, and the parameters."""
         name = self.labels["subject"]
         fits = ", ".join(f"{label} {test.p_value:.2g}" for label, test in self.lack_of_fit.items())
-        spread = ", ".join(f"{quantity} [{task}] {100.0 * sd:.0f} %" for (task, quantity), sd in self.spread.items())
+        differing = {kind: sd for kind, sd in self.spread.items() if sd > LEAST_SPREAD}
+        spread = ", ".join(f"{quantity} [{task}] {100.0 * sd:.0f} %" for (task, quantity), sd in differing.items())
         return Description(
             title=f"Muscles of {name} in {' and '.join(self.parameters.bodies)}: {self.model.law} law, maximum "
             f"likelihood of raw trials in {self.n_conditions} condition{'' if self.n_conditions == 1 else 's'}",
@@ -108,7 +110,7 @@ class NonlinearEstimate(FitResult):
             table=parameter_table(self.to_frame().assign(parameter=list(self.values))),
             remarks=self.remarks,
             details=(
-                f"SD over trials: {spread}",
+                f"SD over trials: {spread or 'none that shows'}",
                 f"minus twice the log-likelihood, but for a constant: {self.objective:.2f}",
             ),
         )

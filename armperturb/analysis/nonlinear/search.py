@@ -358,9 +358,9 @@ class Search:
         return _Ahead(State(point, effects, spread), largest, gain)
 
     def _spread(self, square: Array) -> Array:
-        """Spread of the effects with these expected squares, (kind,)."""
-        kind_of = self._problem.kind_of
-        spread = [np.sqrt(square[kind_of == kind].mean()) for kind in range(len(self._problem.kinds))]
+        """Spread of the effects with these expected squares, (kind,); the least where one trial tells of none."""
+        of_kinds = [square[self._problem.kind_of == kind] for kind in range(len(self._problem.kinds))]
+        spread = [np.sqrt(of_kind.mean()) if len(of_kind) > 1 else LEAST_SPREAD for of_kind in of_kinds]
         return np.clip(spread, LEAST_SPREAD, MOST_SPREAD)
 
     def _with_spread(self, state: State, error: Array) -> State:

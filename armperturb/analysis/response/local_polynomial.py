@@ -132,7 +132,8 @@ class DependentDisturbancesError(ValueError):
         more_lines = "" if are_proportional else ", or more lines per average"
         super().__init__(
             f"the disturbances along x and y are not independent at {frequency:.3f} Hz; expected independent "
-            f"disturbances (other realisations, or one trial for each direction{more_lines})"
+            "disturbances (other realisations, one trial for each direction, or the sign of y turned in half of the "
+            f"trials{more_lines})"
         )
         self.frequency = frequency
 

@@ -93,8 +93,8 @@ def describe(design: Design) -> Description:
             f"--window-start {settings.start:g}"
         )
     remarks = departures(settings.structure(), settings.subject)
-    if design.factors[other] > 1.0:
-        remarks = (f"the optimised multisine is worse than the thesis's {LAWS[other]}", *remarks)
+    worse = [LAWS[law] for law in (settings.noise, other) if design.factors[law] > 1.0]
+    remarks = (*(f"the optimised multisine is worse than the thesis's {law}" for law in worse), *remarks)
     if design.proposed is not None and design.proposed.refusal:
         refused = "identify refuses recordings of the proposed perturbation alone, as far as simulated ones show"
         remarks = (f"{refused}: {design.proposed.refusal}", *remarks)

@@ -28,7 +28,13 @@ from armperturb.study.report.nonlinear_tables import SHOWN_MODELS, nonlinear_tab
 from armperturb.study.report.published_tables import published_tables
 from armperturb.study.report.tables import Row, mean_sd_of
 from armperturb.study.report.words import WORDS
-from armperturb.study.results.mean_admittance import by_task, differ_in_amplitude, main_conditions, perturbed_conditions
+from armperturb.study.results.mean_admittance import (
+    at_usual_frequencies,
+    by_task,
+    differ_in_amplitude,
+    main_conditions,
+    perturbed_conditions,
+)
 from armperturb.study.results.quantities import Cell, published_cells
 from armperturb.study.results.study_result import StudyResult
 from armperturb.subject import TASKS
@@ -106,6 +112,7 @@ def sections(
         contexts["parameters"] = {
             "rows": rows["parameters_summary"],
             "main": [condition.name for condition in main_conditions(study).values()],
+            "flagged": {name: each for name, each in _flagged(rows["fits"]).items() if each[0]},
             "of_amplitude": of_amplitude,
         }
     if study.conditions or played:
@@ -179,6 +186,25 @@ def _force_of_holding(rows: Sequence[Row]) -> float:
         if abs(math.log(position["displacement_m_mean"] / relax["displacement_m_mean"])) < ALIKE
     ]
     return float(np.exp(np.mean(np.log(ratios)))) if ratios else math.nan
+
+
+def _flagged(fits: Sequence[Row]) -> dict[str, tuple[int, int]]:
+    """Condition to how many of its maximum likelihood fits are flagged, and of how many."""
+    of_condition: dict[str, list[Row]] = {}
+    for row in fits:
+        of_condition.setdefault(row["condition"], []).append(row)
+    return {condition: (of_study.n_flagged(rows), len(rows)) for condition, rows in of_condition.items()}
+
+
+def _at_other_frequencies(study: StudyResult) -> list[str]:
+    """Who is in no mean curve of the admittance, since most people have it at other frequencies."""
+    said = []
+    for condition in itertools.chain.from_iterable(by_task(study).values()):
+        cases = study.of(condition.name)
+        usual = {case.name for case in at_usual_frequencies(cases)}
+        others = [case.name for case in cases if case.name not in usual]
+        said += [f"{name} in {condition.name}: admittance at other frequencies than most people's" for name in others]
+    return said
 
 
 def lost_pulses(study: StudyResult) -> int:
@@ -323,6 +349,7 @@ def left_out(study: StudyResult, fits: list[Row], remarks: Sequence[str]) -> dic
     return {
         "Missing, or made with other settings or versions": list(study.missing),
         "Left out of single results": [line for line in remarks if line not in study.missing],
+        "Left out of mean curves of the admittance": _at_other_frequencies(study),
         "Trials and people left out": [reason for case in study.cases for reason in case.left_out],
         "Maximum likelihood fits that did not converge": those(lambda row: "" if row["converged"] else row["status"]),
         "Maximum likelihood fits with a parameter at its bound": those(lambda row: row["at_bound"]),

@@ -260,6 +260,27 @@ def test_recordings_of_other_conditions_are_no_study(copied, monkeypatch):
             assert "PT7.5" not in found.recorded
 
 
+@pytest.mark.parametrize(
+    ("labels", "message"),
+    [
+        ({"l_h": math.nan}, r"S01\.nc: l_h unknown; expected the person's, which joints and models need"),
+        ({"task": "RT"}, r"S01\.nc: task = 'RT' in condition PT\S+; expected 'PT' \(labels\.task of the sidecar\)"),
+    ],
+)
+def test_labels_that_cannot_be_are_refused_by_name(copied, monkeypatch, labels, message):
+    monkeypatch.setattr(person, "identify_person", lambda *_: ())  # takes seconds
+    (copied / "manifest.json").unlink()
+    (copied / "recordings" / "SHA256SUMS").unlink()
+    path = copied / "recordings" / "S01.nc"
+    recording = load_recording(path)
+    n_trials = recording.sizes["trial"]
+    save_recording(
+        recording.assign_coords({name: ("trial", [value] * n_trials) for name, value in labels.items()}), path
+    )
+    with pytest.raises(ValueError, match=message):
+        analysed(copied)
+
+
 def test_conditions_that_the_protocol_lacks_are_told(study, copied):
     recording = load_recording(copied / "recordings" / "S01.nc")
     labels = ["elsewhere" if name == "RT22.5" else name for name in recording["condition"].values]
