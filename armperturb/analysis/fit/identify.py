@@ -96,9 +96,8 @@ class Identification(Result):
     def to_xarray(self) -> xr.Dataset:
         """The spectral estimate (see `SpectralEstimate.to_xarray`), and `model`: the fitted arm's admittance."""
         model = arm_admittance(self.fit.arm, self.spectra.frequency)
-        return self.spectra.to_xarray().assign(
-            model=(("frequency", "output", "input"), model, {"units": "m/N", "long_name": "admittance of the model"})
-        )
+        made = ("frequency", "output", "input"), model, {"units": "m/N", "long_name": "admittance of the model"}
+        return self.spectra.to_xarray().assign(model=made).assign_attrs(**self.fit.labels, condition=self.fit.condition)
 
     def plot(self, figure: "Figure | None" = None) -> Any:
         """Draw the estimated admittance and that of the fitted arm with its 95 % bands.
@@ -163,7 +162,9 @@ class Identifications(Result, Mapping[str, Identification]):
     def to_xarray(self) -> xr.Dataset:
         """`Identification.to_xarray` of all conditions, along a dimension of that name."""
         parts = [result.to_xarray() for result in self.values()]
-        return xr.concat(parts, dim=xr.DataArray(list(self), dims="condition", name="condition"), join="outer")
+        data = xr.concat(parts, xr.DataArray(list(self), dims="condition", name="condition"), join="outer")
+        data.attrs = dict(next(iter(self.values())).fit.labels)
+        return data
 
     def plot(self, figure: "Figure | None" = None) -> Any:
         """Draw the estimated admittance of each condition and that of the fitted arm with its 95 % bands.

@@ -136,6 +136,7 @@ class Likeness(Result):
                 "reference_gains": (("person", "frequency", "gain"), self.reference_gains, units),
             },
             {"frequency": ("frequency", self.frequency, {"units": "Hz"}), "gain": ["larger", "smaller"]},
+            {name: str(self.table[name].iloc[0]) for name in ("condition", "subject")},
         )
 
     @in_style()

@@ -36,6 +36,9 @@ from armperturb.subject import TASKS
 from armperturb.validation import require_type
 from armperturb.workers import Workers, require_workers, workers_for
 
+STEPS = 10
+"""Steps that a person's first results count as, which take as much longer than what follows from everybody's."""
+
 Result = TypeVar("Result")
 
 
@@ -106,7 +109,7 @@ def analyse_study(
     require_own_results(root)
     study, missing = _Study.find(root, settings or AnalysisSettings())
     with workers_for(worker_count(workers, len(study.paths)), None, [__name__]) as pool:
-        with Progress("analysis", total=3 * len(study.paths), unit="steps", show=show_progress) as bar:
+        with Progress("analysis", total=(STEPS + 2) * len(study.paths), unit="steps", show=show_progress) as bar:
             people = study.people(pool, bar)
             alone = study.result(people)
             appendices, second, emg = study.together(people, _main_cases(alone), pool, bar)
@@ -230,7 +233,7 @@ class _Study:
             )
             for path in self.paths
         ]
-        results = zip(self.paths, kept_or_computed(units, pool, bar), strict=True)
+        results = zip(self.paths, kept_or_computed(units, pool, bar, steps=STEPS), strict=True)
         people = dict(sorted(results, key=lambda item: item[1].measures.name))
         for (path, person), (other, another) in itertools.combinations(people.items(), 2):
             name = person.measures.name

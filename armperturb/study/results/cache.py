@@ -177,21 +177,22 @@ class Unit(Generic[Result]):
     run: Callable[[], Any]
 
 
-def kept_or_computed(units: Sequence[Unit[Any]], pool: Workers | None, bar: Progress) -> list[Any]:
+def kept_or_computed(units: Sequence[Unit[Any]], pool: Workers | None, bar: Progress, *, steps: int = 1) -> list[Any]:
     """The result of each unit, in their order: as it was kept, or computed now.
 
     Args:
       units: of any kinds.
       pool: who computes; None for this process.
       bar: counts the units.
+      steps: of the bar that each takes.
 
     Raises:
       RuntimeError: workers die again and again.
     """
     results, _ = reusable([unit.cached for unit in units])
-    bar.skip(len(results))
+    bar.skip(steps * len(results))
     missing = [unit for unit in units if unit.cached.path not in results]
-    for number, result in computed(missing, pool, bar):
+    for number, result in computed(missing, pool, bar, steps=steps):
         results[missing[number].cached.path] = result
     return [results[unit.cached.path] for unit in units]
 
@@ -211,14 +212,14 @@ def reusable(files: Iterable[CachedResult[Any]]) -> tuple[dict[Path, Any], dict[
     return values, stale
 
 
-def computed(units: Sequence[Any], pool: Workers | None, bar: Progress) -> Iterator[tuple[int, Any]]:
+def computed(units: Sequence[Any], pool: Workers | None, bar: Progress, *, steps: int = 1) -> Iterator[tuple[int, Any]]:
     """Number and result of each unit, as they are finished and kept; arguments as of `kept_or_computed`."""
     work = list(enumerate(units))
     for number, result in map(_run, work) if pool is None else completed(_run, work, pool, bar.refresh):
         cached = units[number].cached
         if isinstance(result, cached.result):
             cached.write(result)
-        bar.update()
+        bar.update(steps)
         yield number, result
 
 

@@ -78,6 +78,10 @@ class Case(Result):
             return pd.DataFrame(columns=list(PARAMETER_COLUMNS))
         return self.identification.to_frame()
 
+    def to_xarray(self) -> xr.Dataset:
+        """Spectra and the fitted arm's admittance, see `Identification.to_xarray`; empty if not identified."""
+        return xr.Dataset() if self.identification is None else self.identification.to_xarray()
+
     def plot(self, figure: "Figure | None" = None) -> Any:
         """Draw the estimated admittance and that of the fitted arm, see `Identification.plot`.
 

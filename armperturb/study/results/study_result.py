@@ -94,7 +94,7 @@ class StudyResult(results.Result):
         self._require_identified()
         cases = self._identified()
         labels = {"subject": [case.name for case in cases], "condition": [case.condition.name for case in cases]}
-        joined = xr.concat([case.identified.to_xarray() for case in cases], dim="case", join="outer")
+        joined = xr.concat([case.identified.to_xarray().drop_attrs(deep=False) for case in cases], "case", join="outer")
         return joined.assign_coords({name: ("case", label) for name, label in labels.items()})
 
     def plot(self, figure: "Figure | None" = None) -> Any:

@@ -357,7 +357,9 @@ def test_bad_input_is_refused(excited):
     same = recording.copy(deep=True)
     same["perturbation"][..., 1] = same["perturbation"][..., 0]
     # More lines per average would not help.
-    with pytest.raises(ValueError, match=r"are not independent.*\(other realisations, one trial for .* direction, or the sign of y"):
+    with pytest.raises(
+        ValueError, match=r"not independent.*\(other realisations, one trial for .* direction, or the sign"
+    ):
         estimate_multisine(same)
     with pytest.raises(ValueError, match="what = 'hand'; expected one of arm, environment, total"):
         estimate_multisine(recording, what="hand")
