@@ -43,7 +43,7 @@ from armperturb.muscle_law import MuscleLaw
 from armperturb.planar_arm.simulation import load_compiled_arm
 from armperturb.recording import check_recording
 from armperturb.subject import Subject
-from armperturb.validation import require_whole
+from armperturb.validation import as_list, require_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -142,7 +142,7 @@ def identify_nonlinear(
     recording: xr.Dataset,
     law: Law | Literal["choose"] = "full",
     *,
-    pulse_directions_deg: Iterable[float] = (),
+    pulse_directions_deg: float | Iterable[float] = (),
     window_start: float = WINDOW_START,
     period: float | None = None,
     folder: Path | None = None,
@@ -153,7 +153,7 @@ def identify_nonlinear(
     n_pairs: int = N_PAIRS,
     n_pairs_of_errors: int = N_PAIRS_OF_ERRORS,
     parts: int = MuscleLaw.parts,
-    free: Sequence[str] = (),
+    free: str | Sequence[str] = (),
 ) -> NonlinearIdentification:
     """Fit a muscle law to all trials of one person, started from linear arms, and predict the pulses left out.
 
@@ -186,6 +186,8 @@ def identify_nonlinear(
     require_two_axes(recording)
     require_whole("identify_nonlinear", "threads", threads, at_least=1)
     require_draws("identify_nonlinear", n_pairs, n_pairs_of_errors)
+    free = as_list("identify_nonlinear: free", free, str, "names", or_none=True)
+    directions = as_list("pulse_directions_deg", pulse_directions_deg, (int, float), "angles [deg]", or_none=True)
     if law != "choose":
         Model(law=law, parts=parts, free=tuple(free))
     if law == "half-wave" and "PT" not in recording["task"].values:
@@ -200,7 +202,6 @@ def identify_nonlinear(
         raise ValueError(
             f"law = 'choose' with free = {tuple(free)!r}; expected a law (e.g. --law full), or nothing free"
         )
-    directions = list(pulse_directions_deg)
     sets = fitted_conditions(recording)
     are_alone = bool(np.isfinite(recording["pulse_onset"]).any()) and not any(
         (trials.onset < trials.n_samples).any() for trials in sets.values()

@@ -253,6 +253,8 @@ def test_what_cannot_be_fitted_is_refused(ideal):
         ({"n_pairs_of_errors": 1}, "identify_nonlinear: n_pairs_of_errors = 1; expected a finite number at least 2"),
         ({"parts": 0}, "Model: parts = 0; expected a finite number at least 1 and at most 64"),
         ({"law": "elastic"}, "Model: law = 'elastic'; expected one of linear, short-range, full, half-wave"),
+        ({"free": "kv"}, "free: 'kv'; expected some of Td, fact"),
+        ({"pulse_directions_deg": 20.0}, "pulses: no pulse in the direction 20 deg; expected some of none"),
     ],
 )
 def test_options_are_refused_before_anything_is_fitted(ideal, monkeypatch, options, message):
