@@ -210,17 +210,11 @@ class FitResult(Result):
         """
         import xarray as xr
 
-        names = list(self.values)
-        columns = {
-            "value": [self.values[name] for name in names],
-            "standard_error": [self.standard_error[name] for name in names],
-            "lower_95": [self.interval(name).lower for name in names],
-            "upper_95": [self.interval(name).upper for name in names],
-            "at_bound": [name in self.at_bound for name in names],
-        }
-        variables: dict[str, Any] = {name: ("parameter", values) for name, values in columns.items()}
+        names, frame = list(self.values), self.to_frame()
+        columns = ("value", "standard_error", "lower_95", "upper_95", "at_bound")
+        variables: dict[str, Any] = {name: ("parameter", frame[name]) for name in columns}
         variables["correlation"] = ("parameter", "other"), self.correlation, {"units": "1"}
-        coords = {"parameter": names, "other": names, "unit": ("parameter", [self.unit_of(name) for name in names])}
+        coords = {"parameter": names, "other": names, "unit": ("parameter", frame["unit"])}
         return xr.Dataset(variables, coords, dict(self.labels))
 
     def plot(self, figure: "Figure | None" = None) -> Any:

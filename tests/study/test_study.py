@@ -31,6 +31,7 @@ from armperturb.study.report.tables import (
 )
 from armperturb.study.results import cases
 from armperturb.study.results.cases import identify_person, warn_of_short_multisines
+from armperturb.study.results.laboratory import as_measured
 from armperturb.study.results.mean_admittance import by_task, main_conditions, mean_admittance
 from armperturb.study.results.quantities import Cell, measured_cells
 from armperturb.subject import RELAX
@@ -282,6 +283,16 @@ def test_multisines_of_a_shorter_period_are_identified_from_shorter_trials(tmp_p
     cells = measured_cells(recording)
     assert cells[Cell("2.1", RT.name, "rms_force")] == pytest.approx(case.force)
     assert cells[Cell("2.1", RT.name, "rms_displacement")] == pytest.approx(case.displacement)
+
+
+def test_movements_that_a_condition_cannot_have_leave_it_as_it_is(tmp_path):
+    protocol = Protocol(conditions=(RT,))
+    case = cases.Case(condition=RT, name="A", recording=tmp_path / "A.nc", identification=None, left_out=())
+    for displacement in (0.0, math.nan, 0.2):
+        unchanged, (moved,) = as_measured(protocol, [replace(case, displacement=displacement)])
+        assert (unchanged, moved.condition) == (protocol, RT)
+    changed, (moved,) = as_measured(protocol, [replace(case, displacement=0.01)])
+    assert changed.conditions == (moved.condition,) == (replace(RT, rms_displacement=0.01, reached=1.0),)
 
 
 def test_multisines_too_short_are_warned_of_before_anything_is_recorded(caplog):

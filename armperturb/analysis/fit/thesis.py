@@ -196,13 +196,13 @@ class ThesisEstimate(Result):
 
         frames, subjects = {}, np.array(self.subjects)
         for name in dict.fromkeys(self.subjects):
-            mine = np.flatnonzero(subjects == name)
-            frame = replace(
-                self, subjects=(name,) * len(mine), fits=tuple(self.fits[k] for k in mine), vaf=self.vaf[mine]
-            ).to_frame()
+            which = np.flatnonzero(subjects == name)
+            fits = tuple(self.fits[trial] for trial in which)
+            mine = replace(self, subjects=(name,) * len(which), fits=fits, vaf=self.vaf[which])
+            frame = mine.to_frame()
             half = quantile(0.95) * frame["sem"]
             limits = {"lower_95": frame["value"] - half, "upper_95": frame["value"] + half}
-            frames[name] = frame.assign(**limits, at_bound=frame["parameter"].isin(list(self.at_bound)))
+            frames[name] = frame.assign(**limits, at_bound=frame["parameter"].isin(list(mine.at_bound)))
         return plot_parameters(frames, figure)
 
 

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -187,7 +188,7 @@ def identify_nonlinear(
     require_whole("identify_nonlinear", "threads", threads, at_least=1)
     require_draws("identify_nonlinear", n_pairs, n_pairs_of_errors)
     free = as_list("identify_nonlinear: free", free, str, "names", or_none=True)
-    directions = as_list("pulse_directions_deg", pulse_directions_deg, (int, float), "angles [deg]", or_none=True)
+    directions = as_list("pulse_directions_deg", pulse_directions_deg, Real, "angles [deg]", or_none=True)
     if law != "choose":
         Model(law=law, parts=parts, free=tuple(free))
     if law == "half-wave" and "PT" not in recording["task"].values:

@@ -149,11 +149,11 @@ def identify_varying(
     check_recording(recording)
     require_one_of("identify_varying", "variable", variable, tuple(CANDIDATES))
     require_one_of("identify_varying", "reflex", reflex, (None, *REFLEXES))
+    require_whole("identify_varying", "n_points", n_points, at_least=2)
     one_condition([recording])
     each_once = without_copies(recording)
-    require_whole("identify_varying", "n_points", n_points, at_least=2)
     (recording,), left_out = inside_limit([each_once.recording])
-    last = float(recording["time"].values[-1]) - 2.0 * EDGE
+    last = float(recording["time"].values[-1]) - 2.0 * EDGE  # so that something is held out before the edge
     require_number("identify_varying", "fit_until", fit_until, above=0.0, at_most=last, optional=True)
     ensemble, rate = variable == "time", float(recording.attrs["rate"])
     if ensemble and fit_until is not None:

@@ -89,7 +89,7 @@ const Lab = (() => {
     return unit(timestep).map(each => each * rms);
   };
 
-  // What moves now, and what the person as chosen would do under the same force, which is unchanged.
+  // What moves now, and what the person as chosen would do under the same force (`unchanged`).
   let movement = null, reference = null, cursor = 0;
   const unchanged = {};
 

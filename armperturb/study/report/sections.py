@@ -112,7 +112,7 @@ def sections(
         contexts["parameters"] = {
             "rows": rows["parameters_summary"],
             "main": [condition.name for condition in main_conditions(study).values()],
-            "flagged": {name: each for name, each in _flagged(rows["fits"]).items() if each[0]},
+            "flagged": _flagged(rows["fits"]),
             "of_amplitude": of_amplitude,
         }
     if study.conditions or played:
@@ -189,11 +189,12 @@ def _force_of_holding(rows: Sequence[Row]) -> float:
 
 
 def _flagged(fits: Sequence[Row]) -> dict[str, tuple[int, int]]:
-    """Condition to how many of its maximum likelihood fits are flagged, and of how many."""
+    """Condition to how many of its maximum likelihood fits are flagged, and of how many; without those of none."""
     of_condition: dict[str, list[Row]] = {}
     for row in fits:
         of_condition.setdefault(row["condition"], []).append(row)
-    return {condition: (of_study.n_flagged(rows), len(rows)) for condition, rows in of_condition.items()}
+    counts = {condition: (of_study.n_flagged(rows), len(rows)) for condition, rows in of_condition.items()}
+    return {condition: count for condition, count in counts.items() if count[0]}
 
 
 def _at_other_frequencies(study: StudyResult) -> list[str]:

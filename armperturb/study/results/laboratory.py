@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from armperturb.perturbations.perturbation import LARGEST_RMS_DISPLACEMENT
 from armperturb.recording_files import load_recording
 from armperturb.study.protocol import THESIS, Protocol
 from armperturb.study.results.cases import Case
@@ -86,7 +87,7 @@ def as_measured(protocol: Protocol, cases: Sequence[Case]) -> tuple[Protocol, tu
     """
     reached: dict[str, list[float]] = {}
     for case in cases:
-        if np.isfinite(case.displacement):
+        if 0.0 < case.displacement <= LARGEST_RMS_DISPLACEMENT:  # what a condition may have
             reached.setdefault(case.condition.name, []).append(case.displacement)
     changed = {
         condition.name: replace(condition, rms_displacement=float(np.mean(reached[condition.name])), reached=1.0)

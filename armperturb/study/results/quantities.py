@@ -34,6 +34,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
+from armperturb.analysis.cuts import onset_samples
 from armperturb.analysis.defaults import SETTLED, WINDOW_START
 from armperturb.analysis.measures import kinematics
 from armperturb.analysis.measures.pulse import peak_norm, pulse_span
@@ -273,12 +274,10 @@ def multisine_window(recording: xr.Dataset, window_start: float = WINDOW_START, 
       window_start: where they begin [s].
       period: of the multisine [s]; None to find it. Where nothing repeats, it is the thesis's.
     """
-    rate, perturbation = float(recording.attrs["rate"]), recording["perturbation"].values
-    onset = recording["pulse_onset"].values
-    ends = np.where(np.isnan(onset), perturbation.shape[1], np.round(onset * rate)).astype(int)
+    rate, ends = float(recording.attrs["rate"]), onset_samples(recording)
     if period is None:
         begin = round(min(window_start, SETTLED) * rate)
-        before = [d[begin:end] for d, end in zip(perturbation, ends, strict=True)]
+        before = [d[begin:end] for d, end in zip(recording["perturbation"].values, ends, strict=True)]
         try:
             period = find_period([d for d in before if len(d) > 1 and d.any()], rate)
         except ValueError:

@@ -467,6 +467,19 @@ def test_peaks_of_joints_are_those_in_the_window_of_the_table():
             assert texts(ax) == [f"shoulder {peak} ms", f"elbow {peak} ms"]
 
 
+def test_a_perturbation_without_a_whole_period_has_no_density():
+    recording = pulsed(POSITION, "PT7.5")
+    noise = np.random.default_rng(0).standard_normal(recording["perturbation"].shape)
+    recording = recording.assign(perturbation=recording["perturbation"].copy(data=noise))
+    condition = SimpleNamespace(name="PT7.5")
+    for onset, titles in ((math.nan, ["one trial of PT7.5"]), (1.0, ["one trial of PT7.5", "fade (grey) and pulse"])):
+        trials = recording.assign_coords(pulse_onset=("trial", [onset, onset]))
+        axes = perturbation_figures.perturbation(
+            SimpleNamespace(trials=lambda trials=trials: trials, condition=condition)
+        ).axes
+        assert [ax.get_title() for ax in axes if ax.get_title()] == titles
+
+
 def test_pulse_is_drawn_along_its_direction():
     whole, zoom = perturbation_figures.pulse_signal(pulsed(POSITION, "PT0").isel(trial=[0])).axes
     time, force = whole.lines[0].get_data()

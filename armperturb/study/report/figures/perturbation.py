@@ -32,9 +32,15 @@ def perturbation(case: Case) -> Figure:
     onset = float(trial["pulse_onset"].values[0])
 
     figure = new_figure(4.4)
-    grid = figure.add_gridspec(1, 2, width_ratios=(1.35, 1))
+    try:
+        lines = line_spectra(trial)
+    except ValueError:  # no whole period, as of noise
+        lines = None
+    n_zooms = 0 if np.isnan(onset) else 1
+    n_beside = n_zooms + (lines is not None)
+    grid = figure.add_gridspec(1, 2, width_ratios=(1.35, 1)) if n_beside else figure.add_gridspec(1, 1)
     whole = list(grid[0].subgridspec(2, 1).subplots(sharex=True, sharey=True, squeeze=False).flat)
-    *zooms, density = grid[1].subgridspec(1 if np.isnan(onset) else 2, 1).subplots(squeeze=False).flat
+    beside = list(grid[1].subgridspec(n_beside, 1).subplots(squeeze=False).flat) if n_beside else []
     colours = (INK, GREY)
     for ax, axis, colour in zip(whole, range(2), colours, strict=True):
         ax.plot(time, force[:, axis], color=colour, linewidth=0.7)
@@ -42,19 +48,15 @@ def perturbation(case: Case) -> Figure:
     whole[0].set_title(f"one trial of {case.condition.name}", parse_math=False)
     whole[1].set_xlabel("time [s]")
 
-    for zoom in zooms:
+    for zoom in beside[:n_zooms]:
         near = (time > onset - 0.5) & (time < onset + 0.3)
         zoom.axvspan(onset, onset + MultisineThenPulse.fade, color=PALE, alpha=0.6, linewidth=0)
         for axis, colour in enumerate(colours):
             zoom.plot(time[near], force[near, axis], color=colour, label=f"$d_{AXES[axis]}$")
         zoom.set(title="fade (grey) and pulse", xlabel="time [s]", ylabel="force [N]", xlim=(onset - 0.5, onset + 0.3))
         zoom.legend(loc="upper left")
-    try:
-        lines = line_spectra(trial)
-    except ValueError:  # no whole period, as of noise
-        density.set_axis_off()
-    else:
-        _draw_density(density, lines, float(trial.attrs["rate"]))
+    if lines is not None:
+        _draw_density(beside[-1], lines, float(trial.attrs["rate"]))
     return figure
 
 
