@@ -84,9 +84,9 @@ def analyse_study(
 ) -> StudyResult:
     """Analyse the recordings in a study folder; results of an earlier call are used again, see `results.cache`.
 
-    A folder that is incomplete, or was made by another version, is analysed as far as it goes. Without a manifest, its
-    conditions are taken to be those of the thesis's that have the same names, with the pulses that were recorded, and
-    nothing is known of the people.
+    A folder that is incomplete, or was made by another version, is analysed as far as it goes. Without a manifest,
+    conditions with names of the thesis are taken to be the thesis's, with the pulses that were recorded; all others are
+    what their trials show, and nothing is known of the people.
 
     Args:
       root: the folder.

@@ -1,9 +1,8 @@
 """What is known of a study whose recordings nobody says how they were made, as of a laboratory's."""
 
-import shlex
-from collections import Counter
+import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,14 +10,78 @@ import xarray as xr
 
 from armperturb.perturbations.perturbation import LARGEST_RMS_DISPLACEMENT
 from armperturb.recording_files import load_recording
-from armperturb.study.protocol import THESIS, Protocol
+from armperturb.study.protocol import THESIS, Condition, Protocol
 from armperturb.study.results.cases import Case
+from armperturb.subject import TASKS
+
+FAINT = 0.005
+"""SD of the force before a pulse over its whole range [-], up to which it is noise of the instrument."""
+
+STILL = 1e-6
+"""RMS displacement that stands for a handle that does not move [m], as a multisine has to move it."""
+
+
+@dataclass
+class _Seen:
+    """What trials of a condition show.
+
+    Attributes:
+      task: of all of them; empty before the first.
+      n_trials: of all people.
+      levels: of their pulses, without sign, but those that are not known [-].
+      has_pulses: whether any trial has a pulse, of whatever level.
+      movements: mean square displacement per axis under each multisine, until its pulse [m^2].
+    """
+
+    task: str = ""
+    n_trials: int = 0
+    levels: set[float] = field(default_factory=set)
+    has_pulses: bool = False
+    movements: list[float] = field(default_factory=list)
+
+    def add(self, trial: xr.Dataset, path: Path) -> None:
+        """Count a trial.
+
+        Raises:
+          ValueError: its task is not that of the condition.
+        """
+        name, task = str(trial["condition"].values), str(trial["task"].values)
+        self.task = self.task or next((each.task for each in THESIS.conditions if each.name == name), task)
+        if task != self.task:
+            raise ValueError(
+                f"{path}: task = {task!r} in condition {name}; expected {self.task!r} (labels.task of the sidecar, or "
+                "another labels.condition)"
+            )
+        self.n_trials += 1
+        onset, level = (float(trial[key].values) for key in ("pulse_onset", "pulse_level"))
+        if has_pulse := bool(np.isfinite(onset)):
+            self.has_pulses = True
+            self.levels |= {abs(level)} - {0.0}
+        end = round(onset * float(trial.attrs["rate"])) if has_pulse else trial.sizes["time"]
+        force = trial["perturbation"].values
+        if end > 0 and force[:end].std(axis=0).max() > FAINT * np.ptp(force, axis=0).max():
+            self.movements.append(float(np.mean(trial["displacement"].values[:end] ** 2)))
+
+    def pulse_levels(self, known: Condition) -> tuple[float, ...]:
+        """Those that were recorded; of a pulse alone whose level is not known, that of the condition."""
+        return tuple(sorted(self.levels)) or (() if known.has_multisine else known.pulse_levels)
+
+    def condition(self, name: str) -> Condition:
+        """A condition that the thesis lacks; levels of pulses are 1 where nobody says them."""
+        moved = math.sqrt(np.mean(self.movements)) if self.movements else 0.0
+        return Condition(
+            name=name,
+            task=self.task,
+            rms_displacement=min(max(moved, STILL), LARGEST_RMS_DISPLACEMENT) if self.movements else 0.0,
+            pulse_levels=tuple(sorted(self.levels)) or ((1.0,) if self.has_pulses else ()),
+        )
 
 
 def recorded_protocol(root: Path, paths: Sequence[Path], missing: list[str]) -> tuple[Protocol, dict[str, int]]:
-    """Conditions of the thesis that recordings of an unknown study hold, and how many trials of each.
+    """Conditions that recordings of an unknown study hold, and how many trials of each.
 
-    Levels and directions of pulses are those that were recorded.
+    Those with a name of the thesis are the thesis's; of all others the trials show whether there is a multisine. Levels
+    and directions of pulses are those that were recorded.
 
     Args:
       root: the folder.
@@ -26,56 +89,42 @@ def recorded_protocol(root: Path, paths: Sequence[Path], missing: list[str]) -> 
       missing: takes what is assumed, and what is left out, one line each.
 
     Raises:
-      ValueError: there are none of these conditions.
+      ValueError: a condition is of two tasks, or nothing perturbs the handle in any.
     """
-    counts, levels, directions = Counter[str](), dict[str, set[float]](), set[float]()
+    seen: dict[str, _Seen] = {}
+    directions = set[float]()
     for path in paths:
         recording = load_recording(path, [])
-        _require_tasks(path, recording)
-        names, pulsed = recording["condition"].values.tolist(), np.isfinite(recording["pulse_onset"].values)
-        counts.update(names)
-        given = zip(names, recording["pulse_level"].values, recording["pulse_direction"].values, pulsed, strict=True)
-        for name, level, direction, has_pulse in given:
-            if has_pulse and abs(level) > 0.0:
-                levels.setdefault(name, set()).add(abs(float(level)))
-            if has_pulse and np.isfinite(direction):
-                directions.add(round(float(direction), 1) % 360.0)
-    conditions = tuple(
-        replace(condition, pulse_levels=tuple(sorted(levels[condition.name])))
-        if condition.name in levels
-        # One without a multisine cannot be without pulses.
-        else replace(condition, pulse_levels=() if condition.has_multisine else condition.pulse_levels)
-        for condition in THESIS.conditions
-        if condition.name in counts
+        for trial, name in enumerate(recording["condition"].values.tolist()):
+            seen.setdefault(name, _Seen()).add(recording.isel(trial=trial), path)
+        pulsed = recording["pulse_direction"].values[np.isfinite(recording["pulse_onset"].values)]
+        directions.update(round(float(each), 1) % 360.0 for each in pulsed[np.isfinite(pulsed)])
+    of_thesis = [condition for condition in THESIS.conditions if condition.name in seen]
+    others = {name: trials for name, trials in seen.items() if name not in {each.name for each in of_thesis}}
+    at_rest = [name for name, trials in others.items() if not trials.movements and not trials.has_pulses]
+    foreign = [trials.condition(name) for name, trials in others.items() if name not in at_rest]
+    conditions = (
+        *(replace(each, pulse_levels=seen[each.name].pulse_levels(each)) for each in of_thesis),
+        *sorted(foreign, key=lambda each: (TASKS.index(each.task), not each.has_multisine, each.rms_displacement)),
     )
-    others = ", ".join(name for name in counts if name not in {condition.name for condition in conditions})
     if not conditions:
         raise ValueError(
-            f"{root}: no manifest.json, and condition = {others}; expected the folder of a study, or conditions of the "
-            f"thesis (recordings of a laboratory: {_command(paths[0])})"
+            f"{root}: no manifest.json, and nothing perturbs the handle in condition {', '.join(at_rest)}; expected "
+            "the folder of a study, or trials with a perturbation"
         )
-    missing.append("how the recordings were made is not known: conditions are those of the thesis of the same names")
-    if others:
-        missing.append(f"conditions that the thesis lacks are left out: {others}")
+    assumed = "conditions of the thesis's names are the thesis's" if of_thesis else ""
+    shown = f"{', '.join(each.name for each in foreign)} are as their trials show" if foreign else ""
+    missing.append("how the recordings were made is not known: " + "; ".join(part for part in (assumed, shown) if part))
+    if at_rest:
+        missing.append(f"conditions in which nothing perturbs the handle are left out: {', '.join(at_rest)}")
     unit = THESIS.pulse_unit_condition
-    known = {condition.name for condition in conditions}
     protocol = replace(
         THESIS,
         conditions=conditions,
-        pulse_unit_condition=unit if unit in known else "",
+        pulse_unit_condition=unit if unit in seen else "",
         pulse_directions_deg=tuple(sorted(directions)) or THESIS.pulse_directions_deg,
     )
-    return protocol, {condition.name: counts[condition.name] for condition in conditions}
-
-
-def _require_tasks(path: Path, recording: xr.Dataset) -> None:
-    """Refuse trials whose task is not that of the condition of the thesis that they are called."""
-    task_of = {condition.name: condition.task for condition in THESIS.conditions}
-    for name, task in zip(recording["condition"].values.tolist(), recording["task"].values.tolist(), strict=True):
-        if task != task_of.get(name, task):
-            raise ValueError(
-                f"{path}: task = {task!r} in condition {name}; expected {task_of[name]!r} (labels.task of the sidecar)"
-            )
+    return protocol, {condition.name: seen[condition.name].n_trials for condition in conditions}
 
 
 def as_measured(protocol: Protocol, cases: Sequence[Case]) -> tuple[Protocol, tuple[Case, ...]]:
@@ -98,14 +147,3 @@ def as_measured(protocol: Protocol, cases: Sequence[Case]) -> tuple[Protocol, tu
     return replace(protocol, conditions=conditions), tuple(
         replace(case, condition=changed.get(case.condition.name, case.condition)) for case in cases
     )
-
-
-def _command(path: Path) -> str:
-    """What identifies the condition of a recording that is perturbed for the longest time."""
-    recording = load_recording(path, [])
-    names, moves = recording["condition"].values, np.any(recording["perturbation"].values, axis=2).mean(axis=1)
-    subject, condition = (str(each) for each in (recording["subject"].values[0], names[np.argmax(moves)]))
-    chosen = " ".join(
-        f"--{label} {shlex.quote(name)}" for label, name in (("subject", subject), ("condition", condition))
-    )
-    return f"armperturb identify {shlex.quote(str(path))} {chosen} --out DIR"

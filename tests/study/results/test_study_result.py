@@ -238,33 +238,78 @@ def test_without_a_manifest_conditions_are_the_thesiss_of_the_same_names(study, 
     assert len(asked) == len(COMPUTING)
 
 
-def test_recordings_of_other_conditions_are_no_study(copied, monkeypatch):
-    monkeypatch.setattr(person, "identify_person", lambda *_: ())  # takes seconds
+def renamed(copied, names):
+    """A copied study without a manifest, of one person, whose conditions are called otherwise."""
     (copied / "manifest.json").unlink()
     path = copied / "recordings" / "S01.nc"
     recording = load_recording(path)
-    named = np.where(recording["condition"].values == "PT7.5", "elsewhere", recording["condition"].values)
-    for labels, message in (
-        (["elsewhere"] * len(named), r"identify \S*recordings/S01\.nc --subject S01 --condition elsewhere --out DIR"),
-        (named, ""),
-    ):
-        (copied / "recordings" / "SHA256SUMS").unlink(missing_ok=True)
-        (copied / "recordings" / "S02.nc").unlink(missing_ok=True)
-        save_recording(recording.assign_coords(condition=("trial", labels)), path)
-        if message:
-            with pytest.raises(ValueError, match=message):
-                analysed(copied)
-        else:
-            found = analysed(copied)
-            assert "conditions that the thesis lacks are left out: elsewhere" in found.missing
-            assert "PT7.5" not in found.recorded
+    labels = [names.get(name, name) for name in recording["condition"].values.tolist()]
+    for each in ("SHA256SUMS", "S02.nc", "S01.nc"):
+        (copied / "recordings" / each).unlink()
+    save_recording(recording.assign_coords(condition=("trial", labels)), path)
+    return labels
+
+
+def test_conditions_with_names_of_ones_own_are_what_their_trials_show(study, copied, monkeypatch, tmp_path):
+    names = {"PT7.5": "hold", "RT22.5": "let go", "PT0": "pushed"}
+    labels = renamed(copied, names)
+    found = analysed(copied)
+    assert found.recorded == Counter(labels)
+    intended = {names.get(each.name, each.name): each for each in study.protocol.conditions}
+    own = [each for each in found.protocol.conditions if each.name in names.values()]
+    assert [each.name for each in own] == ["hold", "pushed", "let go"]  # position tasks first, multisines first
+    for each in own:
+        there = intended[each.name]
+        assert (each.task, each.has_multisine, each.pulse_levels) == (
+            there.task,
+            there.has_multisine,
+            there.pulse_levels,
+        )
+    # The same multisines tell the same, whatever they are called.
+    for name in ("PT7.5", "RT22.5"):
+        mine, known = found.of(names[name])[0], study.of(name)[0]
+        assert mine.identified.fit.values == known.identified.fit.values
+        assert mine.condition.rms_displacement == pytest.approx(known.displacement)
+    assert "; hold, pushed, let go are as their trials show" in found.missing[0]
+    page = " ".join(sketch(found, tmp_path / "report").split())
+    assert f"{len(set(labels))} conditions" in page
+    assert "intended [mm]" not in page  # nobody knows
+
+
+def test_conditions_without_a_perturbation_are_left_out(copied, monkeypatch):
+    monkeypatch.setattr(person, "identify_person", lambda *_: ())  # takes seconds
+    renamed(copied, {"PT7.5": "rest"})
+    path = copied / "recordings" / "S01.nc"
+    recording = load_recording(path)
+
+    def at_rest(names):
+        still = recording["condition"].isin(names)
+        quiet = recording.assign(perturbation=recording["perturbation"].where(~still, 0.0))
+        labels = {"pulse_onset": math.nan, "pulse_level": 0.0, "pulse_direction": math.nan}
+        path.unlink()
+        save_recording(
+            quiet.assign_coords({name: recording[name].where(~still, at) for name, at in labels.items()}), path
+        )
+
+    at_rest(["rest"])
+    found = analysed(copied)
+    assert "conditions in which nothing perturbs the handle are left out: rest" in found.missing
+    assert "rest" not in found.recorded
+
+    recording = recording.assign_coords(condition=recording["task"])
+    at_rest(["PT", "RT"])
+    with pytest.raises(ValueError, match=r"no manifest\.json, and nothing perturbs the handle in condition PT, RT"):
+        analysed(copied)
 
 
 @pytest.mark.parametrize(
     ("labels", "message"),
     [
         ({"l_h": math.nan}, r"S01\.nc: l_h unknown; expected the person's, which joints and models need"),
-        ({"task": "RT"}, r"S01\.nc: task = 'RT' in condition PT\S+; expected 'PT' \(labels\.task of the sidecar\)"),
+        (
+            {"task": "RT"},
+            r"S01\.nc: task = 'RT' in condition PT\S+; expected 'PT' \(labels\.task of the sidecar, or another ",
+        ),
     ],
 )
 def test_labels_that_cannot_be_are_refused_by_name(copied, monkeypatch, labels, message):
