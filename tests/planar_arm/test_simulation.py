@@ -100,6 +100,16 @@ def test_small_movements_are_those_of_the_linear_model(arm):
     assert np.abs(moved - expected).max() < 2e-3 * np.abs(expected).max()
 
 
+def test_a_multisine_up_to_a_fifth_of_the_sampling_rate_is_right_between_its_samples():
+    frequency = np.arange(1, 120) / 6.0
+    phase = np.random.default_rng(2).uniform(0.0, 2.0 * np.pi, len(frequency))
+    force = np.cos(2.0 * np.pi * np.arange(2400)[:, None] / 400.0 * frequency + phase).sum(axis=1)[:, None] * [1.0, 0.5]
+    between = Disturbances(force[None, ::4], 100.0).force[0, ::2]
+    inside = slice(200, 2200)  # at the ends there is nothing to go on
+    error = between[inside] - force[inside]
+    assert error.std() < 2e-5 * force.std()
+
+
 def test_a_lane_is_the_same_beside_any_others_and_on_any_number_of_threads():
     people = [draw_person(1, i).subjects["RT"] for i in range(5)]
     pushes = [made.push(i, 1.0, duration=2.0) for i in range(5)]

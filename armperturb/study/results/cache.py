@@ -39,7 +39,7 @@ Result = TypeVar("Result")
 VERSIONS = {
     "person": 8,
     "step-2": 6,
-    "nonlinear": 5,
+    "nonlinear": 6,
     "mechanisms": 1,
     "moving-shoulder": 2,
     "figure": 2,
