@@ -117,6 +117,10 @@ def _signals(design: Design) -> list[tuple[str, Signal]]:
     return [(name, signal) for name, signal in signals if signal is not None]
 
 
+LEAST_TICKS = 4
+"""On an axis, where the range has as many round numbers."""
+
+
 @in_style()
 def plot_design(design: Design, figure: Figure | None = None) -> Any:
     """Standard errors against duration and number of trials, and the spectra, of both signals; see `Design.plot`."""
@@ -126,26 +130,27 @@ def plot_design(design: Design, figure: Figure | None = None) -> Any:
     figure = figure_for(figure, 5.2)
     axes = figure.subplots(2, 2, sharey="row")
     (against_duration, against_trials), (on_x, on_y) = axes
-    durations = np.geomspace(min(duration, PERIOD + SETTLING), LONGEST * duration, 100)
+    # A perturbation that is compared lasts as long as it lasts.
+    lasting = {name: signal.duration for name, signal in _signals(design)}
+    durations = np.geomspace(min(*lasting.values(), PERIOD + SETTLING), LONGEST * max(lasting.values()), 100)
     trials = np.arange(1.0, LONGEST * settings.trials + 1.0)
     lengths = np.array([effective_duration(length) for length in durations])
-    planned = effective_duration(duration)
     for name, signal in _signals(design):
         size = np.abs(design.truth[columns]) / 100.0 if known else 1.0
-        # A second of one trial; a proposed perturbation may last longer than what is planned.
-        of_a_second = signal.standard_error[settings.noise][columns] / size
-        of_a_second *= np.sqrt(settings.trials * effective_duration(signal.duration))
+        length = effective_duration(lasting[name])
+        of_a_second = signal.standard_error[settings.noise][columns] / size * np.sqrt(settings.trials * length)
         for ax, steps, seconds, planned_step in (
-            (against_duration, durations, settings.trials * lengths, duration),
-            (against_trials, trials, trials * planned, settings.trials),
+            (against_duration, durations, settings.trials * lengths, lasting[name]),
+            (against_trials, trials, trials * length, settings.trials),
         ):
             for errors in of_a_second:
                 ax.plot(steps, errors / np.sqrt(seconds), linewidth=0.6, alpha=0.4, **LOOKS[name])
             mean = float(np.exp(np.mean(np.log(of_a_second))))
             ax.plot(steps, mean / np.sqrt(seconds), linewidth=2.0, label=name, **LOOKS[name])
-            ax.plot(planned_step, mean / np.sqrt(settings.trials * planned), "o", **LOOKS[name])
+            ax.plot(planned_step, mean / np.sqrt(settings.trials * length), "o", **LOOKS[name])
     against_duration.set_xlabel(f"duration [s], {settings.trials} trial{'' if settings.trials == 1 else 's'}")
-    against_trials.set_xlabel(f"trials of {duration:g} s")
+    of_others = ", ".join(f"{name} of {value:g} s" for name, value in lasting.items() if value != duration)
+    against_trials.set_xlabel(f"trials of {duration:g} s{of_others and f', {of_others}'}")
     against_duration.set_ylabel("SEM [% of the value]" if known else "SEM [SI]")
     for ax in (against_duration, against_trials):
         ax.set(xscale="log", yscale="log")
@@ -174,8 +179,11 @@ def plot_design(design: Design, figure: Figure | None = None) -> Any:
 
 
 def _ticks(values: Array) -> tuple[list[float], list[str]]:
-    steps = [step * 10.0**power for power in range(4) for step in (1, 2, 5)]
-    inside = [step for step in steps if values[0] <= step <= values[-1]]
+    for digits in ((1, 2, 5), (1, 1.5, 2, 3, 4, 5, 6, 8)):  # more of them where few decades are shown
+        steps = [step * 10.0**power for power in range(4) for step in digits]
+        inside = [step for step in steps if values[0] <= step <= values[-1]]
+        if len(inside) >= LEAST_TICKS:
+            break
     return inside, [f"{step:g}" for step in inside]
 
 
