@@ -256,7 +256,7 @@ def identify_conditions(
     period: float | None = None,
     lines_per_average: int = LINES_PER_AVERAGE,
     emg: UseOfEmg | None = None,
-    progress: Callable[[str], object] | None = None,
+    progress: Callable[[str], object] = lambda _: None,
 ) -> Identifications:
     """Admittance, environment, arm model and its VAF of one subject in every condition.
 
@@ -273,7 +273,8 @@ def identify_conditions(
       period: of the disturbance [s]; None to find it, in each condition.
       lines_per_average: of the spectra, see `estimate_spectra`; maximum likelihood estimates use every line.
       emg: EMG that tells of reflexes as well; with maximum likelihood only. The structure is chosen without it.
-      progress: called with each condition once it has chosen its structure; not at all where `model` is given.
+      progress: called with each condition once its arm is fitted; maximum likelihood of a given `model` fits all at a
+        time.
 
     Returns:
       Condition to what it yields, in the order of the recording; those in which nothing perturbs the window, as where
@@ -311,20 +312,17 @@ def identify_conditions(
     for parts in conditions.values():
         for part in parts:
             part.check_period(window_start, period)
-    spectral: dict[str, Any] = {
-        "window_start": window_start, "period": period, "lines_per_average": lines_per_average
-    }  # fmt: skip
+    options: dict[str, Any] = {"window_start": window_start, "period": period}
+    spectral = {**options, "lines_per_average": lines_per_average}
     spectra = {label: condition_spectra(parts, **spectral) for label, parts in conditions.items()}
     fits: dict[str, ArmFit] = {}
     if estimator == "thesis":
         for label, parts in conditions.items():
             of_trials = fit_trials(_only(parts), structure, **spectral)
             fits[label] = _thesis_fit(of_trials, parts[0], structure, spectra[label])
+            progress(label)
     else:
-        groups = [
-            Group.prepare(parts, structure, window_start=window_start, period=period) for parts in conditions.values()
-        ]
-        options = {"window_start": window_start, "period": period}
+        groups = [Group.prepare(parts, structure, **options) for parts in conditions.values()]
         moved = [partial(_in_start_geometry, group, options) for group in groups]
 
         def with_emg(group: Group) -> Group:
@@ -333,17 +331,17 @@ def identify_conditions(
         if model is None:
             for each in zip(groups, moved, strict=True):
                 fits[each[0].label] = _chosen_fit(choose_structure(*each, estimator, with_emg=with_emg))
-                if progress is not None:
-                    progress(each[0].label)
-        elif is_published(structure):
-            joint = estimate([with_emg(group) for group in groups], estimator, share=share)
-            fits = {group.label: _likely_fit(joint, group, spectra[group.label]) for group in groups}
+                progress(each[0].label)
         else:
-            groups = [nearest_to_linear(*each, estimator) for each in zip(groups, moved, strict=True)]
+            if not is_published(structure):
+                groups = [nearest_to_linear(*each, estimator) for each in zip(groups, moved, strict=True)]
             joint = estimate([with_emg(group) for group in groups], estimator, share=share)
-            fits = {
-                group.label: replace(_likely_fit(joint, group, group.spectra), trials=group.parts) for group in groups
-            }
+            for group in groups:
+                if is_published(structure):
+                    fits[group.label] = _likely_fit(joint, group, spectra[group.label])
+                else:
+                    fits[group.label] = replace(_likely_fit(joint, group, group.spectra), trials=group.parts)
+                progress(group.label)
         if emg:
             fits = {label: told_of_emg(fit, emg, conditions[label][0]) for label, fit in fits.items()}
     is_cut = estimator != "record" or emg is not None

@@ -131,8 +131,12 @@ def test_a_choice_of_structure_shares_nothing():
         identify(recording, estimator="thesis")
 
 
-def test_conditions_are_named_as_they_choose(noisy_relax_recording):
+def test_conditions_are_named_as_they_are_fitted(noisy_relax_recording):
     said: list[str] = []
     results = identify_conditions(noisy_relax_recording, estimator="frequency", progress=said.append)
     assert said == list(results)
     assert len(said) == 2
+    for estimator in ("frequency", "thesis"):
+        said.clear()
+        identify_conditions(noisy_relax_recording, "1", estimator=estimator, progress=said.append)
+        assert said == list(results)
