@@ -1,6 +1,6 @@
 """Trials of one person in one condition together with the structure that is fitted to them, and their likelihoods."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal, Self
@@ -8,6 +8,7 @@ from typing import Literal, Self
 import numpy as np
 import xarray as xr
 
+from armperturb.analysis.cuts import require_two_axes
 from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.fit.admittance_problem import Target, checked_problem, least_squares
 from armperturb.analysis.fit.emg_laws import Law
@@ -253,16 +254,33 @@ def require_one_person(groups: Sequence[Group]) -> None:
             raise ValueError(f"the condition {label!r} comes twice; expected each once (its trials in one group)")
 
 
-def parts_by_condition(recordings: xr.Dataset | Sequence[xr.Dataset]) -> dict[str, tuple[ConditionTrials, ...]]:
-    """Condition to its trials, those of one length and manipulator together, in the order of the recordings.
+def parts_by_condition(
+    recordings: xr.Dataset | Sequence[xr.Dataset] | Mapping[str, Sequence[ConditionTrials]],
+) -> dict[str, tuple[ConditionTrials, ...]]:
+    """Condition to its trials on two axes, those of one length and manipulator together, in the order of recordings.
 
     Args:
-      recordings: trials of one person, of any lengths.
+      recordings: trials of one person, of any lengths; or these by condition already.
 
     Raises:
       TypeError: recordings are something else.
-      ValueError: there is none, or as `trials_by_condition`, of all recordings together.
+      ValueError: there is none, trials are of one axis or not of the condition that is their key, or as
+        `trials_by_condition`, of all recordings together.
     """
+    if isinstance(recordings, Mapping) and not isinstance(recordings, xr.Dataset):
+        conditions = {label: tuple(prepared_recordings(parts)) for label, parts in recordings.items()}
+    else:
+        conditions = _by_label(recordings)
+    for label, part in ((label, part) for label, parts in conditions.items() for part in parts):
+        require_two_axes(part.recording)
+        if part.label != label:
+            raise ValueError(
+                f"identify: trials of {label!r} are of condition {part.label!r}; expected that as their key"
+            )
+    return conditions
+
+
+def _by_label(recordings: xr.Dataset | Sequence[xr.Dataset]) -> dict[str, tuple[ConditionTrials, ...]]:
     several = prepared_recordings(recordings, one_rate=False)
     people = list(dict.fromkeys(str(name) for each in several for name in each.recording["subject"].values))
     if len(people) > 1:

@@ -28,7 +28,7 @@ from armperturb.analysis.measures.vaf import prediction_vaf
 from armperturb.analysis.response.condition_spectra import condition_spectra
 from armperturb.analysis.response.spectra import SpectralEstimate
 from armperturb.analysis.results import Description, Result, Table, parameter_table, plain
-from armperturb.analysis.trials import ConditionTrials, SeveralTrials, prepared_condition, prepared_recordings
+from armperturb.analysis.trials import ConditionTrials, SeveralTrials, prepared_condition
 from armperturb.arrays import Array
 from armperturb.environment import Environment
 from armperturb.subject import Subject
@@ -298,17 +298,7 @@ def identify_conditions(
             f"identify: share = {', '.join(share)}; expected nothing with estimator = 'thesis', which fits each trial "
             "alone (--estimator record shares)"
         )
-    if isinstance(trials, Mapping) and not isinstance(trials, xr.Dataset):
-        conditions = {label: tuple(prepared_recordings(parts)) for label, parts in trials.items()}
-    else:
-        conditions = parts_by_condition(trials)
-    for label, part in ((label, part) for label, parts in conditions.items() for part in parts):
-        require_two_axes(part.recording)
-        if part.label != label:
-            raise ValueError(
-                f"identify: trials of {label!r} are of condition {part.label!r}; expected that as their key"
-            )
-    conditions, remarks = used_conditions(conditions, window_start)
+    conditions, remarks = used_conditions(parts_by_condition(trials), window_start)
     for parts in conditions.values():
         for part in parts:
             part.check_period(window_start, period)
