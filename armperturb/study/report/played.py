@@ -15,10 +15,10 @@ from armperturb.analysis.measures.kinematics import start_posture
 from armperturb.analysis.measures.pulse import pulse_span
 from armperturb.archive import digest
 from armperturb.arrays import Array
-from armperturb.recording_files import load_recording
 from armperturb.study.recording.folder import ANALYSIS
 from armperturb.study.report.figures.trajectories import first_pulses, stable_fits
 from armperturb.study.results.cache import CachedResult, Unit
+from armperturb.study.results.recordings import load_trials
 from armperturb.study.results.study_result import StudyResult
 
 MOST_PEOPLE = 10
@@ -117,7 +117,7 @@ def played_person(
       OSError: the recording is gone.
       ValueError: it cannot be read.
     """
-    recording = load_recording(path, ())
+    recording = load_trials(path, ())
     l_h, l_f = (float(recording[name].values[0]) if name in recording else math.nan for name in ("l_h", "l_f"))
     if not math.isfinite(l_h + l_f):
         return PlayedPerson(name, l_h, l_f, (math.nan, math.nan), ())

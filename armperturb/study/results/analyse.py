@@ -16,7 +16,6 @@ from armperturb.cohort import Person
 from armperturb.environment import Environment
 from armperturb.files import checksum
 from armperturb.progress import Progress
-from armperturb.recording_files import load_recording
 from armperturb.study.protocol import Protocol
 from armperturb.study.recording.folder import ANALYSIS, RECORDINGS, find_recordings, require_own_results
 from armperturb.study.recording.manifest import Manifest, current_versions, read_manifest
@@ -30,6 +29,7 @@ from armperturb.study.results.laboratory import as_measured, recorded_protocol
 from armperturb.study.results.mean_admittance import main_conditions
 from armperturb.study.results.nonlinear_fits import NonlinearFit, fit_nonlinear
 from armperturb.study.results.person import PersonResults, analyse_person
+from armperturb.study.results.recordings import load_trials
 from armperturb.study.results.settings import AnalysisSettings
 from armperturb.study.results.study_result import StudyResult
 from armperturb.subject import TASKS
@@ -161,7 +161,7 @@ class _NonlinearUnit(NamedTuple):
         return units
 
     def run(self) -> NonlinearFit:
-        recording = load_recording(self.recording, ["joint_angle"])
+        recording = load_trials(self.recording, ["joint_angle"])
         # As results, a search is not kept in a folder that cannot be written to.
         checkpoint = self.checkpoint if os.access(self.checkpoint.parent, os.W_OK) else None
         return fit_nonlinear(recording, self.task, self.cases, self.fitted_deg, self.start, checkpoint)
@@ -389,7 +389,7 @@ def _measured(people: Iterable[PersonResults]) -> Environment:
 
 
 def _analyse(path: Path, protocol: Protocol, settings: AnalysisSettings) -> PersonResults:
-    recording = load_recording(path, ["joint_angle"])
+    recording = load_trials(path, ["joint_angle"])
     try:
         return analyse_person(recording, Path(RECORDINGS, path.name), protocol, settings)
     except ValueError as error:
@@ -397,7 +397,7 @@ def _analyse(path: Path, protocol: Protocol, settings: AnalysisSettings) -> Pers
 
 
 def _second_step(path: Path, means: Mapping[Key, Mapping[str, float]], unidentified: Collection[str]) -> SecondStep:
-    return fit_second_step(trials_by_condition(load_recording(path, []), is_checked=True), means, unidentified)
+    return fit_second_step(trials_by_condition(load_trials(path, []), is_checked=True), means, unidentified)
 
 
 def _nonlinear(

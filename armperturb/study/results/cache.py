@@ -37,13 +37,13 @@ LOG = logging.getLogger(__name__)
 Result = TypeVar("Result")
 
 VERSIONS = {
-    "person": 8,
-    "step-2": 6,
+    "person": 9,
+    "step-2": 7,
     "nonlinear": 6,
     "mechanisms": 1,
     "moving-shoulder": 2,
     "figure": 2,
-    "played": 1,
+    "played": 2,
     "films": 1,
     "emg": 12,
 }

@@ -22,9 +22,9 @@ from armperturb.analysis.response.spectra import SpectralEstimate, single_trial_
 from armperturb.analysis.results import PARAMETER_COLUMNS, Description, Result
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
-from armperturb.recording_files import load_recording
 from armperturb.study.protocol import NEEDED, Condition, Protocol
 from armperturb.study.results.quantities import multisine_window
+from armperturb.study.results.recordings import load_trials
 from armperturb.subject import Subject
 
 if TYPE_CHECKING:
@@ -119,7 +119,7 @@ class Case(Result):
 
     def trials(self) -> xr.Dataset:
         """The recorded trials behind the identification, pulses included."""
-        mine = of_condition(load_recording(self.recording, ["joint_angle"]), self.condition.name)
+        mine = of_condition(load_trials(self.recording, ["joint_angle"]), self.condition.name)
         return mine.isel(trial=ConditionTrials.prepare(mine, is_checked=True).multisine.numbers)
 
 

@@ -15,8 +15,8 @@ from armperturb.analysis.emg.envelope import MAXIMAL, REST, Envelopes, envelopes
 from armperturb.analysis.emg.onset import Onsets, onsets
 from armperturb.analysis.emg.reflex import Reflexes, reflexes
 from armperturb.analysis.trials import ConditionTrials, trials_by_condition
-from armperturb.recording_files import load_recording
 from armperturb.study.protocol import Condition
+from armperturb.study.results.recordings import load_trials
 
 
 class Level(NamedTuple):
@@ -152,7 +152,7 @@ def person_emg(name: str, path: Path, shown: Condition | None = None, contractio
       ValueError: the recording is refused.
       OSError: it cannot be read.
     """
-    recording = load_recording(path, ["emg", "joint_angle"])
+    recording = load_trials(path, ["emg", "joint_angle"])
     try:
         amplitudes = envelopes(recording, contractions=tuple(contractions))
     except ValueError as error:

@@ -12,6 +12,7 @@ from armperturb.perturbations.perturbation import LARGEST_RMS_DISPLACEMENT
 from armperturb.recording_files import load_recording
 from armperturb.study.protocol import THESIS, Condition, Protocol
 from armperturb.study.results.cases import Case
+from armperturb.study.results.recordings import with_pulse_labels
 from armperturb.subject import TASKS
 
 FAINT = 0.005
@@ -28,19 +29,19 @@ class _Seen:
     Attributes:
       task: of all of them; empty before the first.
       n_trials: of all people.
-      levels: of their pulses, without sign, but those that are not known [-].
-      has_pulses: whether any trial has a pulse, of whatever level.
+      levels: of their pulses, without sign [-].
+      unlabelled: whether the recordings do not say the level or the direction of a pulse.
       movements: mean square displacement per axis under each multisine, until its pulse [m^2].
     """
 
     task: str = ""
     n_trials: int = 0
     levels: set[float] = field(default_factory=set)
-    has_pulses: bool = False
+    unlabelled: bool = False
     movements: list[float] = field(default_factory=list)
 
     def add(self, trial: xr.Dataset, path: Path) -> None:
-        """Count a trial.
+        """Count a trial, as recorded.
 
         Raises:
           ValueError: its task is not that of the condition.
@@ -53,27 +54,29 @@ class _Seen:
                 "another labels.condition)"
             )
         self.n_trials += 1
-        onset, level = (float(trial[key].values) for key in ("pulse_onset", "pulse_level"))
+        labels = "pulse_onset", "pulse_level", "pulse_direction"
+        onset, level, direction = (float(trial[key].values) for key in labels)
         if has_pulse := bool(np.isfinite(onset)):
-            self.has_pulses = True
-            self.levels |= {abs(level)} - {0.0}
+            known = np.isfinite(level) and level != 0.0
+            self.levels.add(abs(level) if known else 1.0)
+            self.unlabelled |= not (known and np.isfinite(direction))
         end = round(onset * float(trial.attrs["rate"])) if has_pulse else trial.sizes["time"]
         force = trial["perturbation"].values
         if end > 0 and force[:end].std(axis=0).max() > FAINT * np.ptp(force, axis=0).max():
             self.movements.append(float(np.mean(trial["displacement"].values[:end] ** 2)))
 
     def pulse_levels(self, known: Condition) -> tuple[float, ...]:
-        """Those that were recorded; of a pulse alone whose level is not known, that of the condition."""
+        """Those that were recorded; without any, those of a condition that has to have some."""
         return tuple(sorted(self.levels)) or (() if known.has_multisine else known.pulse_levels)
 
     def condition(self, name: str) -> Condition:
-        """A condition that the thesis lacks; levels of pulses are 1 where nobody says them."""
+        """A condition that the thesis lacks."""
         moved = math.sqrt(np.mean(self.movements)) if self.movements else 0.0
         return Condition(
             name=name,
             task=self.task,
             rms_displacement=min(max(moved, STILL), LARGEST_RMS_DISPLACEMENT) if self.movements else 0.0,
-            pulse_levels=tuple(sorted(self.levels)) or ((1.0,) if self.has_pulses else ()),
+            pulse_levels=tuple(sorted(self.levels)),
         )
 
 
@@ -97,11 +100,11 @@ def recorded_protocol(root: Path, paths: Sequence[Path], missing: list[str]) -> 
         recording = load_recording(path, [])
         for trial, name in enumerate(recording["condition"].values.tolist()):
             seen.setdefault(name, _Seen()).add(recording.isel(trial=trial), path)
-        pulsed = recording["pulse_direction"].values[np.isfinite(recording["pulse_onset"].values)]
+        pulsed = with_pulse_labels(recording)["pulse_direction"].values[np.isfinite(recording["pulse_onset"].values)]
         directions.update(round(float(each), 1) % 360.0 for each in pulsed[np.isfinite(pulsed)])
     of_thesis = [condition for condition in THESIS.conditions if condition.name in seen]
     others = {name: trials for name, trials in seen.items() if name not in {each.name for each in of_thesis}}
-    at_rest = [name for name, trials in others.items() if not trials.movements and not trials.has_pulses]
+    at_rest = [name for name, trials in others.items() if not trials.movements and not trials.levels]
     foreign = [trials.condition(name) for name, trials in others.items() if name not in at_rest]
     conditions = (
         *(replace(each, pulse_levels=seen[each.name].pulse_levels(each)) for each in of_thesis),
@@ -115,6 +118,11 @@ def recorded_protocol(root: Path, paths: Sequence[Path], missing: list[str]) -> 
     assumed = "conditions of the thesis's names are the thesis's" if of_thesis else ""
     shown = f"{', '.join(each.name for each in foreign)} are as their trials show" if foreign else ""
     missing.append("how the recordings were made is not known: " + "; ".join(part for part in (assumed, shown) if part))
+    if unlabelled := [condition.name for condition in conditions if seen[condition.name].unlabelled]:
+        missing.append(
+            "pulses that have no level (pulse_level) count as level 1, those without a pulse_direction have that of "
+            f"their largest force: {', '.join(unlabelled)}"
+        )
     if at_rest:
         missing.append(f"conditions in which nothing perturbs the handle are left out: {', '.join(at_rest)}")
     unit = THESIS.pulse_unit_condition

@@ -492,6 +492,17 @@ def test_pulse_is_drawn_along_its_direction():
     assert texts(zoom) == ["80 ms"]
 
 
+def test_a_pulse_of_a_laboratory_is_as_long_as_it_was():
+    trial = pulsed(POSITION, "PT0").isel(trial=[0])
+    since = trial["time"].values - float(trial["pulse_onset"].values[0])
+    rectangular = np.where((since > -1e-6) & (since < 0.1999), -15.0, 0.0)[None, :, None] * [1.0, 0.0]
+    trial = trial.assign(perturbation=trial["perturbation"].copy(data=rectangular))
+    _, zoom = perturbation_figures.pulse_signal(trial, is_known=False).axes
+    assert texts(zoom) == ["200 ms"]
+    assert zoom.get_title() == f"sampled at {RATE:g} Hz"
+    assert zoom.get_xlim()[1] > 200.0
+
+
 def test_directions_are_drawn_from_the_mean_posture():
     straight = replace(POSITION, theta_s_deg=10.0, theta_e_deg=90.0)
     bent = replace(POSITION, theta_s_deg=30.0, theta_e_deg=70.0)

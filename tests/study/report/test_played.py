@@ -65,7 +65,7 @@ def test_pages_hold_whole_numbers(person):
 def test_arms_that_nobody_measured_are_not_drawn(study, tmp_path, monkeypatch):
     recording = load_recording(study.recordings["S01"])
     unknown = recording.assign_coords(l_h=recording["l_h"] * np.nan)
-    monkeypatch.setattr("armperturb.study.report.played.load_recording", lambda *_: unknown)
+    monkeypatch.setattr("armperturb.study.report.played.load_trials", lambda *_: unknown)
     assert played_person("S01", tmp_path, ["PT0"], {}).trials == ()
 
 

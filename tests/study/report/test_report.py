@@ -489,6 +489,15 @@ def test_rig_is_drawn(study, monkeypatch):
     assert not np.array_equal(top, oblique)
 
 
+def test_the_prediction_of_a_short_trial_shows_its_end(study, monkeypatch):
+    case = study.of("RT7.5")[0]
+    short = case.trials().isel(time=slice(2400))
+    monkeypatch.setattr(type(case), "trials", lambda _: short)
+    for ax in fit_figures.prediction(case).axes:
+        assert ax.get_xlim() == pytest.approx((7.0, 12.0), abs=0.01)
+        assert all(len(line.get_xdata()) == 1001 for line in ax.lines)
+
+
 def test_users_settings_neither_matter_nor_change(study, tmp_path):
     import matplotlib
 

@@ -18,14 +18,17 @@ from armperturb import archive
 from armperturb.analysis.results import PARAMETER_COLUMNS
 from armperturb.cli import main
 from armperturb.recording_files import load_recording, save_recording
+from armperturb.study.comparison.effects import effects
 from armperturb.study.comparison.score import score, share
 from armperturb.study.protocol import THESIS
 from armperturb.study.report import report
+from armperturb.study.report.figures.catalogue import drawings
 from armperturb.study.results import analyse, person
 from armperturb.study.results.analyse import analyse_study
 from armperturb.study.results.appendix_fits import Fits, SecondStep
 from armperturb.study.results.person import PersonResults, missing_trials
 from armperturb.study.results.quantities import Cell
+from armperturb.study.results.recordings import load_trials
 from tests.differences import differences
 from tests.studies import FEW_FITS, sketch
 
@@ -274,6 +277,33 @@ def test_conditions_with_names_of_ones_own_are_what_their_trials_show(study, cop
     page = " ".join(sketch(found, tmp_path / "report").split())
     assert f"{len(set(labels))} conditions" in page
     assert "intended [mm]" not in page  # nobody knows
+
+
+def test_pulses_without_labels_count_as_one_level_in_the_direction_of_their_force(study, copied, tmp_path):
+    renamed(copied, {"PT7.5": "hold", "PT0": "pushed"})
+    path = copied / "recordings" / "S01.nc"
+    recording = load_recording(path)
+    has_pulse = np.isfinite(recording["pulse_onset"].values)
+    told = recording["pulse_direction"].values[has_pulse]
+    for level in (0.0, math.nan):
+        path.unlink()
+        unlabelled = {"pulse_level": np.full(len(has_pulse), level), "pulse_direction": np.full(len(has_pulse), np.nan)}
+        save_recording(recording.assign_coords({name: ("trial", its) for name, its in unlabelled.items()}), path)
+        labelled = load_trials(path)
+        np.testing.assert_array_equal(labelled["pulse_level"].values, np.where(has_pulse, 1.0, 0.0))
+        np.testing.assert_allclose(labelled["pulse_direction"].values[has_pulse], told % 360.0, atol=2.5)
+    found = analysed(copied)
+    assert found.protocol.condition("pushed").pulse_levels == (1.0,)
+    assert found.protocol.pulse_directions_deg == tuple(np.unique(told % 360.0))
+    (known,) = (person for person in study.people if person.name == "S01")
+    mine = found.people[0].pulses["pushed", "1"]
+    same = [trial for trial in known.trials if trial.condition == "PT0"]
+    assert mine.displacement == pytest.approx(np.mean([trial.displacement for trial in same]))
+    assert any(line.startswith("pulses that have no level") and "pushed" in line for line in found.missing)
+    # Their figures are drawn, too.
+    drawn = drawings(found, effects(found))
+    for name in ("pulse_signal", "pulse_directions", "joint_rotations"):
+        drawn[name]()
 
 
 def test_conditions_without_a_perturbation_are_left_out(copied, monkeypatch):

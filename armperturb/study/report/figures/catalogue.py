@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 
 from armperturb.analysis.cuts import of_condition
 from armperturb.analysis.measures.kinematics import hand_path, within_reach
-from armperturb.recording_files import load_recording
 from armperturb.study.comparison.effects import AdmittanceEffect, Effects
 from armperturb.study.experiments.mechanisms import Yielding
 from armperturb.study.report.figures import admittance as admittance_figures
@@ -30,6 +29,7 @@ from armperturb.study.report.nonlinear_tables import left_out_pulses, tasks_fitt
 from armperturb.study.results.appendix_fits import Appendices
 from armperturb.study.results.mean_admittance import by_task, main_conditions
 from armperturb.study.results.nonlinear_fits import drawn_pulse
+from armperturb.study.results.recordings import load_trials
 from armperturb.study.results.study_result import StudyResult
 from armperturb.subject import TASKS
 
@@ -127,17 +127,18 @@ def _of_pulses(study: StudyResult) -> Drawings:
         return {}
     drawn: Drawings = {}
     name, path = next(iter(study.recordings.items()))
-    recording = load_recording(path, ["joint_angle"])
+    recording = load_trials(path, ["joint_angle"])
     stills: dict[str, xr.Dataset] = {}
+    is_known = study.made is not None
     for condition in study.protocol.conditions:
         trials = of_condition(recording, condition.name)
         pulses = first_pulses(trials) if condition.pulse_levels and not condition.has_multisine else {}
         if not pulses:
             continue
         trial = trials.isel(trial=[next(iter(pulses.values()))])
-        drawn.setdefault("pulse_signal", partial(perturbation_figures.pulse_signal, trial))
+        drawn.setdefault("pulse_signal", partial(perturbation_figures.pulse_signal, trial, is_known=is_known))
         if all(_within_reach(around_pulse(trials, number)) for number in pulses.values()):
-            drawn.setdefault("joint_rotations", partial(trajectory_figures.joint_rotations, trials))
+            drawn.setdefault("joint_rotations", partial(trajectory_figures.joint_rotations, trials, is_known=is_known))
         stills.setdefault(condition.task, trial)
     person = next((person for person in study.cohort if person.name == name), None)
     if person is not None and stills and "joint_angle" in recording:

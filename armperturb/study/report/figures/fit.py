@@ -52,8 +52,8 @@ def prediction(case: Case, *, trial: int = 0, start: float = 20.0, span: float =
     Args:
       case: who, in which condition.
       trial: which of the trials that were analysed.
-      start: of the sample that is shown [s].
-      span: of the sample that is shown [s].
+      start: of the part that is shown [s]; earlier where the trial ends before that part does.
+      span: of the part that is shown [s].
     """
     identification, recording = case.identified, case.trials().isel(trial=trial)
     rate, onset = float(recording.attrs["rate"]), float(recording["pulse_onset"])
@@ -63,6 +63,7 @@ def prediction(case: Case, *, trial: int = 0, start: float = 20.0, span: float =
     if identification.fit.stable:
         d = recording["perturbation"].values[:n]
         predicted = simulate_linear(identification.fit.arm, identification.environment, d, rate).displacement
+    start = max(0.0, min(start, time[-1] - span))
     shown = (time >= start) & (time <= start + span)
 
     figure = new_figure(3.5)

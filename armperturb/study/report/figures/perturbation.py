@@ -15,6 +15,7 @@ from armperturb.perturbations.multisine import CLUSTERS, FULL_BAND, PERIOD
 from armperturb.plots.panels import AXES, label_frequency
 from armperturb.plots.style import COLOURS, GREY, INK, PALE, in_style, new_figure
 from armperturb.study.results.cases import Case
+from armperturb.study.results.recordings import pulse_width
 from armperturb.subject import Subject
 
 PULSE_WIDTH: float = Pulse.width
@@ -87,11 +88,12 @@ def _draw_density(ax: Axes, lines: LineSpectra, rate: float) -> None:
 
 
 @in_style()
-def pulse_signal(recording: xr.Dataset) -> Figure:
+def pulse_signal(recording: xr.Dataset, *, is_known: bool = True) -> Figure:
     """A pulse without a multisine: the whole trial, and the pulse alone (thesis fig. 2.3).
 
     Args:
       recording: one trial with a pulse.
+      is_known: whether the pulse is half a sine of `PULSE_WIDTH`; if not, its width is measured.
     """
     time, rate = recording["time"].values, float(recording.attrs["rate"])
     onset, angle = (float(recording[name].values[0]) for name in ("pulse_onset", "pulse_direction"))
@@ -105,15 +107,16 @@ def pulse_signal(recording: xr.Dataset) -> Figure:
     whole.set(xlim=(0, time[-1]), xlabel="time [s]", ylabel=f"force at {angle:g}° [N]")
     whole.set_title(f"one trial of {recording['condition'].values[0]}", parse_math=False)
 
+    width = 1e3 * (PULSE_WIDTH if is_known else pulse_width(recording))
     since = 1e3 * (time - onset)
-    near = (since > -40.0) & (since < 120.0)
-    zoom.axvspan(0.0, 1e3 * PULSE_WIDTH, color=PALE, alpha=0.5, linewidth=0)
+    near = (since > -0.5 * width) & (since < 1.5 * width)
+    zoom.axvspan(0.0, width, color=PALE, alpha=0.5, linewidth=0)
     zoom.plot(since[near], force[near], "o-", color=INK, markersize=3)
     arrow = {"arrowstyle": "<->", "color": INK, "linewidth": 0.9, "shrinkA": 0, "shrinkB": 0}
-    zoom.annotate("", (0.0, -0.1 * peak), (1e3 * PULSE_WIDTH, -0.1 * peak), arrowprops=arrow)
-    zoom.text(500.0 * PULSE_WIDTH, -0.14 * peak, f"{1e3 * PULSE_WIDTH:g} ms", ha="center", va="top")
-    zoom.set(xlim=(-40.0, 120.0), ylim=(-0.28 * peak, 1.1 * peak), xlabel="time after the onset [ms]")
-    zoom.set_title(f"half a sine, sampled at {rate:g} Hz")
+    zoom.annotate("", (0.0, -0.1 * peak), (width, -0.1 * peak), arrowprops=arrow)
+    zoom.text(0.5 * width, -0.14 * peak, f"{width:.0f} ms", ha="center", va="top")
+    zoom.set(xlim=(-0.5 * width, 1.5 * width), ylim=(-0.28 * peak, 1.1 * peak), xlabel="time after the onset [ms]")
+    zoom.set_title(f"{'half a sine, ' if is_known else ''}sampled at {rate:g} Hz")
     return figure
 
 

@@ -24,6 +24,7 @@ from armperturb.study.report.figures.groups import MODEL_LOOKS, PRINTED, printed
 from armperturb.study.report.tables import published_or_nan
 from armperturb.study.results.nonlinear_fits import predicted_paths
 from armperturb.study.results.quantities import level_name
+from armperturb.study.results.recordings import pulse_width
 
 DOTS = {"PT": 0.05, "RT": 0.1}
 """Task to the time between dots on a path [s] (figures 3.17, 3.18)."""
@@ -164,7 +165,7 @@ def around_pulse(recording: xr.Dataset, trial: int) -> xr.Dataset:
 
 
 @in_style()
-def joint_rotations(recording: xr.Dataset) -> Figure:
+def joint_rotations(recording: xr.Dataset, *, is_known: bool = True) -> Figure:
     """Rotations of shoulder and elbow after a largest pulse in each direction, with their peaks (thesis fig. F.1).
 
     Peaks are those in the window of table F.5, which a dotted line ends; the shoulder may come later.
@@ -174,6 +175,7 @@ def joint_rotations(recording: xr.Dataset) -> Figure:
 
     Args:
       recording: one person's trials of one condition, whose handle stays within the arm's reach.
+      is_known: whether pulses are half a sine of `PULSE_WIDTH`; if not, their width is measured.
     """
     condition = str(recording["condition"].values[0])
     trials = first_pulses(recording)
@@ -186,7 +188,8 @@ def joint_rotations(recording: xr.Dataset) -> Figure:
         around = around_pulse(recording, trial)
         time = 1e3 * (around["time"].values - float(around["pulse_onset"].values[0]))
         rotation = np.degrees(kinematics.joint_rotations(around)[0])
-        ax.axvspan(0.0, 1e3 * Pulse.width, color=PALE, alpha=0.5, linewidth=0)
+        width = Pulse.width if is_known else pulse_width(recording.isel(trial=[trial]))
+        ax.axvspan(0.0, 1e3 * width, color=PALE, alpha=0.5, linewidth=0)
         ax.axvline(window, color=GREY, linewidth=0.9, linestyle=":")
         in_window = (time >= 0.0) & (time < window + 0.5e3 / float(recording.attrs["rate"]))
         for joint, (name, look) in enumerate(JOINT_LOOKS.items()):
