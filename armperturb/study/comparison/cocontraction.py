@@ -90,6 +90,26 @@ def cocontraction_tests(people: Sequence[PersonEmg], conditions: Sequence[Condit
     return tests
 
 
+def left_out_of_tests(people: Sequence[PersonEmg], conditions: Sequence[Condition]) -> list[str]:
+    """Who is left out of which tests, one line each; nothing where people are too few for any test.
+
+    Args:
+      people: as for `cocontraction_tests`.
+      conditions: likewise.
+    """
+    said = []
+    for joint in ("shoulder", "elbow") if len(people) >= FEWEST else ():
+        by_person = {person.name: index_of(person, joint) for person in people}
+        names = [each.name for each in conditions if _known(by_person, [each.name])]
+        for name, of in by_person.items():
+            if lacking := [each for each in names if not math.isfinite(of.get(each, math.nan))]:
+                said.append(
+                    f"co-contraction of the {joint}: {name} has no index in {', '.join(lacking)}, and no part in tests "
+                    "over these conditions"
+                )
+    return said
+
+
 def _known(by_person: Mapping[str, Mapping[str, float]], names: Sequence[str]) -> int:
     return len(_table(by_person, names))
 

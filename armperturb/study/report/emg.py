@@ -9,9 +9,10 @@ import numpy as np
 from armperturb.analysis.emg.activity import relaxation_sentence
 from armperturb.analysis.emg.envelope import mean_known
 from armperturb.analysis.emg.reflex import CLEAR, DELAYS
-from armperturb.study.comparison.cocontraction import cocontraction_tests
+from armperturb.study.comparison.cocontraction import cocontraction_tests, left_out_of_tests
 from armperturb.study.report.figures import emg as emg_figures
 from armperturb.study.results.emg import of_one_unit
+from armperturb.study.results.mean_admittance import compared_conditions
 from armperturb.study.results.study_result import StudyResult
 
 
@@ -20,7 +21,7 @@ def emg_drawings(study: StudyResult) -> "dict[str, partial[Any]]":
     there = of_one_unit(study.emg)
     drawn: dict[str, partial[Any]] = {}
     if any(person.cocontraction for person in there):
-        drawn["emg_cocontraction"] = partial(emg_figures.cocontraction, there, study.protocol.conditions)
+        drawn["emg_cocontraction"] = partial(emg_figures.cocontraction, there, compared_conditions(study))
     if (shown := next((person.shown for person in study.emg if person.shown), None)) is not None:
         drawn["emg_envelopes"] = partial(emg_figures.envelopes, shown.envelopes)
         drawn["emg_reflexes"] = partial(emg_figures.reflexes, shown.reflexes)
@@ -61,7 +62,7 @@ def emg_rows(study: StudyResult) -> dict[str, list[dict[str, Any]]]:
         for row in person.cocontraction
     ]
     delays = [{"subject": person.name, **row._asdict()} for person in study.emg for row in person.reflexes]
-    tests = [test._asdict() for test in cocontraction_tests(of_one_unit(study.emg), study.protocol.conditions)]
+    tests = [test._asdict() for test in cocontraction_tests(of_one_unit(study.emg), compared_conditions(study))]
     return {"emg_levels": levels, "emg_cocontraction": index, "emg_reflexes": delays, "emg_tests": tests}
 
 
@@ -84,7 +85,10 @@ def emg_section(study: StudyResult) -> dict[str, Any]:
         "index": _indices(of_unit("emg_cocontraction")),
         "tests": rows["emg_tests"],
         "delays": _delays(rows["emg_reflexes"]),
-        "remarks": [line for person in study.emg for line in person.remarks],
+        "remarks": [
+            *left_out_of_tests(there, compared_conditions(study)),
+            *(line for person in study.emg for line in person.remarks),
+        ],
         "levels": _levels(of_unit("emg_levels")),
     }
 

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, Self, TypeVar
 import numpy as np
 
 from armperturb.analysis.trials import trials_by_condition
+from armperturb.archive import digest
 from armperturb.cohort import Person
 from armperturb.environment import Environment
 from armperturb.files import checksum
@@ -23,7 +24,7 @@ from armperturb.study.recording.record import record_study, worker_count
 from armperturb.study.recording.settings import BLOCK, StudySettings
 from armperturb.study.results.appendix_fits import Appendices, Key, SecondStep, fit_second_step, joined, means_of
 from armperturb.study.results.cache import CachedResult, Unit, computed, kept_or_computed, reusable
-from armperturb.study.results.cases import Case, warn_of_short_multisines
+from armperturb.study.results.cases import Case, arms_of, warn_of_short_multisines
 from armperturb.study.results.emg import PersonEmg, person_emg
 from armperturb.study.results.laboratory import as_measured, recorded_protocol
 from armperturb.study.results.mean_admittance import main_conditions
@@ -293,14 +294,16 @@ class _Study:
         for path, person in people.items():
             name = person.measures.name
             condition = next((case.condition for case in shown if case.name == name), None)
+            arms = arms_of(person.cases, self.protocol.conditions)
+            settings = {"contractions": contractions, "arms": digest(arms)}
             cached = CachedResult(
                 path=self._file(path, "-emg"),
                 kind="emg",
                 result=PersonEmg,
                 recordings={path.name: self.paths[path]},
-                settings={"contractions": contractions, **({"shown": condition.name} if condition else {})},
+                settings={**settings, **({"shown": condition.name} if condition else {})},
             )
-            units.append(Unit(cached=cached, run=partial(person_emg, name, path, condition, contractions)))
+            units.append(Unit(cached=cached, run=partial(person_emg, name, path, condition, contractions, arms)))
         return units
 
     def nonlinear_units(self, people: Mapping[Path, PersonResults]) -> list[_NonlinearUnit]:

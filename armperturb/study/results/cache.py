@@ -45,7 +45,7 @@ VERSIONS = {
     "figure": 2,
     "played": 2,
     "films": 1,
-    "emg": 12,
+    "emg": 13,
 }
 """Kind of result to the version of its algorithm.
 

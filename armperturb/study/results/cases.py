@@ -2,7 +2,7 @@
 
 import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -144,6 +144,19 @@ def identify_person(conditions: Mapping[str, ConditionTrials], path: Path, proto
         replace(case, thesis=thesis.get(label), left_out=(*case.left_out, *failed.get(label, ())))
         for label, case in cases.items()
     )
+
+
+def arms_of(cases: Sequence[Case], conditions: Sequence[Condition]) -> dict[str, Subject]:
+    """Condition to the arm that was identified in it or, where pulses come alone, in another one of the same task.
+
+    Args:
+      cases: of one person.
+      conditions: of the protocol.
+    """
+    identified = [case for case in cases if case.identification is not None]
+    of_task = {case.condition.task: case.identified.fit.arm for case in reversed(identified)}
+    there = {case.condition.name: case.identified.fit.arm for case in identified}
+    return {each.name: of_task[each.task] for each in conditions if each.task in of_task} | there
 
 
 def warn_of_short_multisines(protocol: Protocol) -> None:

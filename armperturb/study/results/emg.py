@@ -17,6 +17,7 @@ from armperturb.analysis.emg.reflex import Reflexes, reflexes
 from armperturb.analysis.trials import ConditionTrials, trials_by_condition
 from armperturb.study.protocol import Condition
 from armperturb.study.results.recordings import load_trials
+from armperturb.subject import Subject
 
 
 class Level(NamedTuple):
@@ -136,7 +137,13 @@ def of_one_unit(people: Sequence[PersonEmg]) -> tuple[PersonEmg, ...]:
     return tuple(person for person in there if person.unit == units.most_common(1)[0][0])
 
 
-def person_emg(name: str, path: Path, shown: Condition | None = None, contractions: Collection[str] = ()) -> PersonEmg:
+def person_emg(
+    name: str,
+    path: Path,
+    shown: Condition | None = None,
+    contractions: Collection[str] = (),
+    arms: Mapping[str, Subject] | None = None,
+) -> PersonEmg:
     """Analyse the EMG of a person's recording.
 
     Contractions last for a part of their trial, so that the mean over the trial, which levels and indices are of, says
@@ -147,6 +154,7 @@ def person_emg(name: str, path: Path, shown: Condition | None = None, contractio
       path: of the recording.
       shown: condition of which figures are drawn, if the recording has trials of it that are long enough.
       contractions: conditions of contractions, beside the maximal ones that amplitudes refer to.
+      arms: condition to the arm whose grip gives, where that is known; needed without joint angles, see `reflexes`.
 
     Raises:
       ValueError: the recording is refused.
@@ -161,16 +169,22 @@ def person_emg(name: str, path: Path, shown: Condition | None = None, contractio
     # Cut without the EMG, of which copies take long.
     by_condition = trials_by_condition(recording.drop_vars("emg"), is_checked=True)
     contracted = {MAXIMAL, *contractions}
+    arms = arms or {}
     of_conditions: dict[str, Reflexes] = {}
     for label, trials in by_condition.items():
         if label not in (*contracted, REST):
             with suppress(ValueError):  # trials that are too short
-                of_conditions[label] = reflexes(trials, amplitudes)
+                of_conditions[label] = reflexes(trials, amplitudes, arm=arms.get(label))
     columns = ["muscle", *Reflex._fields[2:]]
     levels, cocontraction = (
         frame[~frame["condition"].isin(contracted)] for frame in (of_muscles.levels, of_muscles.cocontraction)
     )
     of_reflexes = [line for reflex in of_conditions.values() for line in reflex.remarks]
+    if "joint_angle" not in recording and (rigid := [label for label in of_conditions if label not in arms]):
+        of_reflexes.append(
+            f"delays from rotation to EMG in {', '.join(rigid)} are too short: without joint angles and an identified "
+            "arm, the handle's movement passes for the hand's"
+        )
     return PersonEmg(
         name=name,
         unit=of_muscles.unit,
@@ -183,7 +197,9 @@ def person_emg(name: str, path: Path, shown: Condition | None = None, contractio
             for row in reflex.responses[columns].itertuples(index=False, name=None)
         ),
         remarks=tuple(f"{name}: {line}" for line in (*of_muscles.remarks, *of_reflexes)),
-        shown=_shown(amplitudes, by_condition, of_conditions, shown) if shown and shown.name in of_conditions else None,
+        shown=_shown(amplitudes, by_condition, of_conditions, shown, arms)
+        if shown and shown.name in of_conditions
+        else None,
     )
 
 
@@ -192,6 +208,7 @@ def _shown(
     trials: Mapping[str, ConditionTrials],
     of_conditions: Mapping[str, Reflexes],
     condition: Condition,
+    arms: Mapping[str, Subject],
 ) -> ShownEmg:
     """What figures show of a condition, from all the person's trials and what reflexes do in each condition."""
     is_first = np.zeros(len(amplitudes.labels), dtype=bool)
@@ -205,7 +222,7 @@ def _shown(
             power=amplitudes.power[is_first],
             rectified=amplitudes.rectified[is_first],
         ),
-        onsets=onsets(with_pulses, amplitudes) if condition.pulse_levels else None,
+        onsets=onsets(with_pulses, amplitudes, arms) if condition.pulse_levels else None,
         reflexes=of_conditions[condition.name],
     )
 

@@ -36,6 +36,11 @@ def perturbed_conditions(study: StudyResult, task: str) -> list[Condition]:
     return sorted(present, key=lambda condition: (movement(condition), condition.co_contraction))
 
 
+def compared_conditions(study: StudyResult) -> tuple[Condition, ...]:
+    """Those of both tasks, see `perturbed_conditions`."""
+    return tuple(condition for task in TASKS for condition in perturbed_conditions(study, task))
+
+
 def movement(condition: Condition) -> float:
     """RMS displacement that people reach under the multisine of a condition, as the protocol has it [m]."""
     return condition.rms_displacement * condition.reached

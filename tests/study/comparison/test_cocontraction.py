@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from armperturb.study.comparison.cocontraction import cocontraction_tests, index_of
+from armperturb.study.comparison.cocontraction import cocontraction_tests, index_of, left_out_of_tests
 from armperturb.study.protocol import THESIS
 from armperturb.study.results.emg import Cocontraction, Level, PersonEmg
 
@@ -66,6 +66,11 @@ def test_who_lacks_a_condition_is_left_out_and_nobody_is_no_test():
     everyone = people()
     everyone[0] = PersonEmg(name="S0", cocontraction=everyone[0].cocontraction[:2])
     assert {row.n for row in cocontraction_tests(everyone, CONDITIONS)} == {5}
+    said = left_out_of_tests(everyone, CONDITIONS)
+    assert said[0].startswith("co-contraction of the shoulder: S0 has no index in PT7.5, PT22.5, RT7.5, and no part in")
+    assert said[1].startswith("co-contraction of the elbow: S0 has no index in PT0, PT2.5, PT7.5, PT22.5, RT7.5, and")
+    assert len(said) == 2
     assert cocontraction_tests(everyone[:2], CONDITIONS) == []
+    assert left_out_of_tests(everyone[:2], CONDITIONS) == []
     silent = [row for row in cocontraction_tests(people(relaxed=0.0), CONDITIONS) if row.question == "task"]
     assert np.isnan([row.ratio for row in silent]).all()

@@ -1,15 +1,20 @@
 """The section EMG of people whose amplitudes have different references."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 from invented_emg import noise, recorded
 
 from armperturb.recording_files import save_recording
 from armperturb.study.protocol import THESIS
 from armperturb.study.report.emg import emg_drawings, emg_rows, emg_section
-from armperturb.study.results.emg import Cocontraction, Level, PersonEmg, person_emg
+from armperturb.study.results import emg
+from armperturb.study.results.cases import Case, arms_of
+from armperturb.study.results.emg import Cocontraction, Level, PersonEmg, Reflex, person_emg
+from armperturb.subject import POSITION, RELAX
 
 
 def person(name, unit, value):
@@ -78,8 +83,49 @@ def test_a_contraction_recorded_with_the_relax_task_is_no_relaxation(tmp_path):
     assert {row.condition for row in told.cocontraction} == {"PT7.5", "RT7.5", "REST"}
 
 
+def test_conditions_are_compared_in_the_order_of_their_movement_wherever_the_protocol_has_them():
+    backwards = replace(THESIS, conditions=THESIS.conditions[::-1])
+    for protocol in (THESIS, backwards):
+        rows = emg_rows(SimpleNamespace(emg=PEOPLE, protocol=protocol))["emg_tests"]
+        assert {row["conditions"] for row in rows} == {"PT7.5, PT22.5"}
+        drawn = emg_drawings(SimpleNamespace(emg=PEOPLE, protocol=protocol))["emg_cocontraction"].args[1]
+        assert [each.name for each in drawn if each.task == "PT" and each.has_multisine] == ["PT2.5", "PT7.5", "PT22.5"]
+
+
 def test_people_without_an_index_have_no_figure_of_it():
     relaxed = PersonEmg(name="S0", unit="% of RT2.5", limit=0.1, levels=PEOPLE[0].levels)
     assert emg_drawings(SimpleNamespace(emg=(relaxed,), protocol=THESIS)) == {}
     # Others go before them, however few they are.
     assert emg_section(SimpleNamespace(emg=(relaxed, relaxed, *PEOPLE[:1]), protocol=THESIS))["unit"] == "% of PT22.5"
+
+
+@pytest.mark.slow(reason="simulates trials with EMG")
+def test_the_grip_of_each_conditions_arm_is_taken_off_and_what_has_none_is_named(tmp_path, monkeypatch):
+    volts = np.array([0.5, 0.1])[:, None, None] * noise((2, 2, 20_000))
+    save_recording(recorded(volts, ["PT7.5", "RT7.5"], task=["PT", "RT"]), tmp_path / "A.nc")
+    used = {}
+
+    def respond(trials, _, arm):
+        used[trials.label] = arm
+        return SimpleNamespace(remarks=(), responses=pd.DataFrame(columns=["muscle", *Reflex._fields[2:]]))
+
+    monkeypatch.setattr(emg, "reflexes", respond)
+    told = person_emg("A", tmp_path / "A.nc", arms={"PT7.5": POSITION})
+    assert used == {"PT7.5": POSITION, "RT7.5": None}
+    (said,) = (line for line in told.remarks if "the handle's movement passes for the hand's" in line)
+    assert said.startswith("A: delays from rotation to EMG in RT7.5 are too short")
+    everywhere = person_emg("A", tmp_path / "A.nc", arms={"PT7.5": POSITION, "RT7.5": RELAX})
+    assert not any("passes for the hand's" in line for line in everywhere.remarks)
+
+
+def test_pulses_alone_have_the_arm_of_another_condition_of_the_task():
+    conditions = [THESIS.condition(name) for name in ("PT0", "PT2.5", "PT7.5", "RT0", "RT7.5")]
+    arms = {"PT2.5": replace(POSITION, k_h=1.0), "PT7.5": replace(POSITION, k_h=2.0)}
+
+    def case(condition):
+        arm = arms.get(condition.name)
+        done = None if arm is None else SimpleNamespace(fit=SimpleNamespace(arm=arm))
+        return Case(condition=condition, name="A", recording=None, identification=done, left_out=())
+
+    cases = [case(each) for each in conditions if each.has_multisine]
+    assert arms_of(cases, conditions) == arms | {"PT0": arms["PT2.5"]}
