@@ -25,7 +25,7 @@ from armperturb.study.report.nonlinear_tables import nonlinear_tables
 from armperturb.study.report.pictures import picture_units
 from armperturb.study.report.played import played_data, played_units
 from armperturb.study.report.provenance import provenance
-from armperturb.study.report.sections import joint_rows, sections
+from armperturb.study.report.sections import joint_rows, of_people, sections
 from armperturb.study.report.tables import write_or_remove, write_tables
 from armperturb.study.report.words import WORDS
 from armperturb.study.results.cache import CachedResult, Unit, kept_or_computed
@@ -189,7 +189,7 @@ def _page(
         drawn,
         study=study,
         over_people=", mean ± SD over people" if len(study.names) > 1 else "",
-        people=f"{len(study.names)} {'person' if len(study.names) == 1 else 'people'}",
+        people=of_people(study, {}),
         intervals=" with 95\N{NO-BREAK SPACE}% intervals" if len(study.names) > 1 else "",
         first=next(iter(study.recordings), ""),
         main={task: study.of(condition.name)[0] for task, condition in main_conditions(study).items()},

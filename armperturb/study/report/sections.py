@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -18,6 +18,7 @@ from armperturb.study.comparison.headlines import Headline
 from armperturb.study.comparison.score import ANOTHER, Score, Share, missing_cells, shares
 from armperturb.study.experiments.mechanisms import PULSES, Yielding
 from armperturb.study.experiments.moving_shoulder import MovingShoulder
+from armperturb.study.protocol import Condition
 from armperturb.study.published import tables as published
 from armperturb.study.report import findings as of_study
 from armperturb.study.report.emg import emg_section, relaxation
@@ -107,7 +108,15 @@ def sections(
     of_amplitude = _of_amplitude(study)
     if study.conditions:
         amplitudes = {task: differ_in_amplitude(of_task) for task, of_task in by_task(study).items()}
-        contexts["admittance"] = {"effects": effects, "findings": ratios, "amplitudes": amplitudes}
+        averaged = _averaged(study, main_conditions(study).values())
+        contexts["summary"]["averaged"] = averaged
+        contexts["admittance"] = {
+            "effects": effects,
+            "findings": ratios,
+            "amplitudes": amplitudes,
+            "averaged": averaged,
+            "in_all": {task: _averaged(study, of_task) for task, of_task in by_task(study).items()},
+        }
         contexts["fits"] = {"summary": rows["summary"], "rows": rows["fits"], "remarks": remarks(study), **flagged}
         contexts["parameters"] = {
             "rows": rows["parameters_summary"],
@@ -122,6 +131,8 @@ def sections(
             "findings": ratios,
             "of_amplitude": of_amplitude,
             "excess": of_study.excess_rows(study),
+            "measured": _with_pulses(study, "displacement"),
+            "predicted": _with_pulses(study, "prediction"),
             "lost": sum(
                 trial.pulse_level != 0.0 and math.isnan(trial.displacement)
                 for person in study.people
@@ -206,6 +217,37 @@ def _at_other_frequencies(study: StudyResult) -> list[str]:
         others = [case.name for case in cases if case.name not in usual]
         said += [f"{name} in {condition.name}: admittance at other frequencies than most people's" for name in others]
     return said
+
+
+def of_people(study: StudyResult, counts: Mapping[str, int]) -> str:
+    """Whose something is: "4 people"; with how many of them in each condition, where some lack it.
+
+    Args:
+      study: analysed.
+      counts: name of a condition to the number of people there.
+    """
+    n_people = len(study.names)
+    whole = f"{n_people} {'person' if n_people == 1 else 'people'}"
+    if all(count == n_people for count in counts.values()):
+        return whole
+    if len(set(counts.values())) == 1:
+        return f"{next(iter(counts.values()))} of {whole}"
+    return f"{whole} ({', '.join(f'{count} in {name}' for name, count in counts.items())})"
+
+
+def _with_pulses(study: StudyResult, of: str) -> str:
+    """Whose pulses have a value of `PulseMeans`, see `of_people`."""
+    there = [
+        {name for (name, _), means in person.pulses.items() if math.isfinite(getattr(means, of))}
+        for person in study.people
+    ]
+    names = dict.fromkeys(name for name, _ in study.pulses)
+    return of_people(study, {name: count for name in names if (count := sum(name in each for each in there))})
+
+
+def _averaged(study: StudyResult, conditions: Iterable[Condition]) -> str:
+    """Whose mean admittances are drawn in conditions, see `of_people`."""
+    return of_people(study, {each.name: len(at_usual_frequencies(study.of(each.name))) for each in conditions})
 
 
 def lost_pulses(study: StudyResult) -> int:

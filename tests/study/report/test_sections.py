@@ -13,9 +13,12 @@ from armperturb.pages.page import Picture, rendered
 from armperturb.study.comparison.effects import effects
 from armperturb.study.recording.settings import StudySettings
 from armperturb.study.report.findings import fall_is_given, findings, set_levels
-from armperturb.study.report.sections import lost_pulses, named_by_displacement, sections
+from armperturb.study.report.sections import lost_pulses, named_by_displacement, of_people, sections
 from armperturb.study.report.words import WORDS
 from armperturb.study.results.mean_admittance import by_task, differ_in_amplitude
+
+TABLES = ("summary", "fits", "estimates", "conditions", "parameters_summary")
+"""That sections read."""
 
 
 def summary(study, **changed):
@@ -90,6 +93,12 @@ def test_findings_of_some_people_say_of_how_many(study):
     text = summary(replace(study, cases=tuple(fewer)))
     assert "as when holding the position (1 of 3 people)." in text
     assert "intervals of the mean over people." in text
+
+
+def test_means_of_some_people_say_of_how_many(study):
+    assert of_people(study, {"PT7.5": 3, "RT7.5": 3}) == of_people(study, {}) == "3 people"
+    assert of_people(study, {"PT7.5": 2, "RT7.5": 2}) == "2 of 3 people"
+    assert of_people(study, {"PT7.5": 3, "RT7.5": 1}) == "3 people (3 in PT7.5, 1 in RT7.5)"
 
 
 def test_a_finding_is_said_with_the_doubt_about_it(study):
@@ -189,6 +198,7 @@ def test_linear_people_differ_by_the_co_contraction_that_the_protocol_sets(study
         conditions = by_task(each)["PT"]
         assert differ_in_amplitude(conditions) != is_set
         shown = {"findings": {}, "tasks": {"PT": conditions}, "amplitudes": {"PT": not is_set}, "main": {}}
+        shown["in_all"] = {"PT": "3 people"}
         text = section(each, "admittance", ["admittance_by_amplitude_PT"], **shown, effects=effects(each))
         assert ("differs here is how much they co-contract, noise, and how much the arm" in text) == is_set
         assert ("from all trials, darker for larger movements" in text) != is_set
@@ -198,7 +208,7 @@ def test_tests_that_were_not_made_are_told_though_there_is_none(study):
     def shown(people):
         told = replace(study, people=people, cases=())
         tested = replace(effects(told), rows=(), pairs=(), admittance={}, remarks=("b_s, PT: not tested",))
-        tables = {name: [] for name in ("summary", "fits", "estimates", "conditions", "parameters_summary")}
+        tables = {key: [] for key in TABLES}
         return sections(told, None, tested, tables, yielding=None, shoulder=None, drawn=())
 
     assert shown(study.people)["statistics"]["effects"].remarks
