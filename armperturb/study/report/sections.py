@@ -117,11 +117,15 @@ def sections(
             "averaged": averaged,
             "in_all": {task: _averaged(study, of_task) for task, of_task in by_task(study).items()},
         }
-        contexts["fits"] = {"summary": rows["summary"], "rows": rows["fits"], "remarks": remarks(study), **flagged}
+        contexts["fits"] = {
+            **{"summary": rows["summary"], "rows": rows["fits"], "remarks": remarks(study), **flagged},
+            "rejected": _mostly(rows["fits"], lambda row: row["p_value"] < SUSPICIOUS),
+        }
         contexts["parameters"] = {
             "rows": rows["parameters_summary"],
             "main": [condition.name for condition in main_conditions(study).values()],
             "flagged": _flagged(rows["fits"]),
+            "stuck": _mostly(rows["fits"], lambda row: "k_s" in row["at_bound"].split()),
             "of_amplitude": of_amplitude,
         }
     if study.conditions or played:
@@ -199,13 +203,23 @@ def _force_of_holding(rows: Sequence[Row]) -> float:
     return float(np.exp(np.mean(np.log(ratios)))) if ratios else math.nan
 
 
-def _flagged(fits: Sequence[Row]) -> dict[str, tuple[int, int]]:
-    """Condition to how many of its maximum likelihood fits are flagged, and of how many; without those of none."""
+def _by_condition(fits: Sequence[Row]) -> dict[str, list[Row]]:
     of_condition: dict[str, list[Row]] = {}
     for row in fits:
         of_condition.setdefault(row["condition"], []).append(row)
-    counts = {condition: (of_study.n_flagged(rows), len(rows)) for condition, rows in of_condition.items()}
+    return of_condition
+
+
+def _flagged(fits: Sequence[Row]) -> dict[str, tuple[int, int]]:
+    """Condition to how many of its maximum likelihood fits are flagged, and of how many; without those of none."""
+    counts = {condition: (of_study.n_flagged(rows), len(rows)) for condition, rows in _by_condition(fits).items()}
     return {condition: count for condition, count in counts.items() if count[0]}
+
+
+def _mostly(fits: Sequence[Row], is_so: Callable[[Row], bool]) -> dict[str, tuple[int, int]]:
+    """Conditions of which most maximum likelihood fits are so, to how many, and of how many."""
+    counts = {condition: (sum(map(is_so, rows)), len(rows)) for condition, rows in _by_condition(fits).items()}
+    return {condition: count for condition, count in counts.items() if 2 * count[0] > count[1]}
 
 
 def _at_other_frequencies(study: StudyResult) -> list[str]:

@@ -110,6 +110,19 @@ def test_a_finding_is_said_with_the_doubt_about_it(study):
         assert f"to the multisine before it{said}." in summary(study, excess=finding)
 
 
+def test_a_stiffness_that_sits_on_its_bound_is_no_finding(study):
+    row = {"parameter": "k_s", "unit": "Nm/rad", "estimated_mean": 50.0, "estimated_sd": 5.0}
+    row |= {f"{of}_{what}": math.nan for of in ("thesis", "published") for what in ("mean", "sd")}
+    rows = [{**row, "condition": name} for name in ("PT7.5", "RT7.5")]
+    shown = {"rows": rows, "main": ["PT7.5", "RT7.5"], "flagged": {"PT7.5": (3, 3)}, "tasks": {}}
+    known, unknown = (section(study, "parameters", **shown, stuck=stuck) for stuck in ({}, {"PT7.5": (3, 3)}))
+    assert "The stiffness of the shoulder is 50.0 ± 5.0 Nm/rad in PT7.5 and 50.0 ± 5.0 Nm/rad in RT7.5" in known
+    assert "In PT7.5, 3 of 3 fits are flagged" in known
+    assert "The stiffness of the shoulder is not known in PT7.5: it is at its bound in 3 of 3 fits." in unknown
+    assert "The stiffness of the shoulder is 50.0 ± 5.0 Nm/rad in RT7.5" in unknown
+    assert "are flagged" not in unknown
+
+
 def test_a_study_whose_pulses_were_all_lost_says_so_at_the_top(study):
     assert "No pulse" not in summary(study)
     people = tuple(replace(person, trials=()) for person in study.people)
