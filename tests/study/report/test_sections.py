@@ -115,7 +115,9 @@ def test_a_stiffness_that_sits_on_its_bound_is_no_finding(study):
     row |= {f"{of}_{what}": math.nan for of in ("thesis", "published") for what in ("mean", "sd")}
     rows = [{**row, "condition": name} for name in ("PT7.5", "RT7.5")]
     shown = {"rows": rows, "main": ["PT7.5", "RT7.5"], "flagged": {"PT7.5": (3, 3)}, "tasks": {}}
-    known, unknown = (section(study, "parameters", **shown, stuck=stuck) for stuck in ({}, {"PT7.5": (3, 3)}))
+    known, unknown = (
+        section(study, "parameters", **shown, stuck=stuck).replace("&nbsp;", " ") for stuck in ({}, {"PT7.5": (3, 3)})
+    )
     assert "The stiffness of the shoulder is 50.0 ± 5.0 Nm/rad in PT7.5 and 50.0 ± 5.0 Nm/rad in RT7.5" in known
     assert "In PT7.5, 3 of 3 fits are flagged" in known
     assert "The stiffness of the shoulder is not known in PT7.5: it is at its bound in 3 of 3 fits." in unknown
