@@ -330,7 +330,7 @@ def _late(spectra: Spectra, kind: Kind, weight: Array) -> tuple[Imbalance, _Fit]
         f"error {1e3 * error:.2g} ms)"
     )
     if kind == "perturbation" and delay < 0.0:
-        text += ", as if these two alone passed a low-pass filter"
+        text += ", as if these two alone passed a low-pass filter or the command were held between its samples"
     return Imbalance(kind, text, 0.0, _relative(spectra, moved), delay, error), fit
 
 

@@ -128,6 +128,11 @@ def even_times(
     steps = np.diff(time)
     if (steps <= 0.0).any():
         at = int(np.argmax(steps <= 0.0))
+        if steps[at] == 0.0:
+            raise ValueError(
+                f"{where}: time stands still at {time[at]:.6g} s, samples {at} and {at + 1}; expected increasing times "
+                "(where they are rounded, leave the channel 'time' out and state the rate)"
+            )
         raise ValueError(
             f"{where}: time steps back from {time[at]:.6g} s to {time[at + 1]:.6g} s at sample {at + 1}; expected "
             "increasing times (two recordings in one file need a channel 'trial' that numbers them)"

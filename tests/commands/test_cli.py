@@ -247,9 +247,11 @@ def test_several_recordings_are_identified_together(two_recordings, tmp_path, ca
     assert "RT22.5: converged" in printed
     with (tmp_path / "r" / "parameters.csv").open() as file:
         rows = {(row["condition"], row["parameter"]): row["value"] for row in csv.DictReader(file)}
-    assert len(rows) == 20
-    names = {name for _, name in rows}
-    assert {n for n in names if rows["RT7.5", n] == rows["RT22.5", n]} == {"m_h", "m_f", "b_h", "k_h"}
+    assert len(rows) == 16
+    assert {name for condition, name in rows if condition == "RT7.5+RT22.5"} == {"m_h", "m_f", "b_h", "k_h"}
+    alone = {name for condition, name in rows if condition == "RT7.5"}
+    assert len(alone) == 6
+    assert all(rows["RT7.5", name] != rows["RT22.5", name] for name in alone)
     fits = json.loads((tmp_path / "r" / "fit.json").read_text())
     assert list(fits) == ["RT7.5", "RT22.5"]
     assert fits["RT7.5"]["estimator"] == "frequency"

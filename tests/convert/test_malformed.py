@@ -128,7 +128,7 @@ TEXTS = {
     "microseconds": (with_time(VALUES * np.where(np.arange(8) == 1, 1e6, 1.0)), "a wrong unit of the times?"),
     "time far away": (with_time(put(VALUES.copy(), -1, "t", 1e12)), "dropped at 5.99 s (time steps by 1e+15"),
     "time backwards": (with_time(put(VALUES.copy(), 700, "t", 0.1)), "time steps back from 3.495 s to 0.1 s"),
-    "time stands": (with_time(put(VALUES.copy(), slice(None), "t", 0.0)), "time steps back from 0 s to 0 s"),
+    "time stands": (with_time(put(VALUES.copy(), slice(None), "t", 0.0)), "time stands still at 0 s, samples 0 and 1"),
     "time missing": (with_time(put(VALUES.copy(), 700, "t", np.nan)), "the time of sample 700 is missing"),
 }  # fmt: skip
 

@@ -154,10 +154,22 @@ class Identifications(Result, Mapping[str, Identification]):
         )
 
     def to_frame(self) -> "pd.DataFrame":
-        """One row per condition and free parameter, with the columns of `results.PARAMETER_COLUMNS`."""
+        """One row per condition and free parameter, with the columns of `results.PARAMETER_COLUMNS`.
+
+        A parameter that conditions share has one row, whose condition names them with + between.
+        """
         import pandas as pd
 
-        return pd.concat([result.to_frame() for result in self.values()], ignore_index=True)
+        frame = pd.concat([result.to_frame() for result in self.values()], ignore_index=True)
+        together = next(iter(self.values())).fit.detail
+        if isinstance(together, Estimate) and len(together.arms) > 1:
+            places = [together.place_of(name) for name in together.values]
+            shared = {parameter: condition for parameter, condition in places if condition not in together.arms}
+            frame["condition"] = [
+                shared.get(parameter, condition)
+                for parameter, condition in zip(frame["parameter"], frame["condition"], strict=True)
+            ]
+        return frame.drop_duplicates(["parameter", "condition"], ignore_index=True)
 
     def to_xarray(self) -> xr.Dataset:
         """`Identification.to_xarray` of all conditions, along a dimension of that name."""

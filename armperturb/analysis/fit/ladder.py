@@ -17,6 +17,7 @@ the best structure leaves more than noise, its lack of fit (chi2 over degrees of
 """
 
 import itertools
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
@@ -169,6 +170,9 @@ class Choice(Result):
             causes = ["inertia", "grip", "wrong geometry", "delay"]
             distorted = _distorted_band(parts)
             causes.insert(0 if distorted else len(causes), f"nonlinearity{distorted}")
+            wrong = [each for each in self.estimate.imbalance.values() if each is not None]
+            if wrong:
+                causes.insert(0, "clocks" if math.isfinite(wrong[0].delay) else "force balance")
             said.append(
                 "no structure that was tried fits, and parameters are not to be trusted; likely causes in order: "
                 + ", ".join(causes)

@@ -47,6 +47,8 @@ REMEDIES: dict[Kind, str] = {
 }
 """What helps; against a delay, one clock does."""
 
+ONE_CLOCK = "Record all signals by one clock and through one filter."
+
 INCOHERENT = 0.5
 """Coherence below which noise dominates [-]."""
 
@@ -183,7 +185,10 @@ def likely_causes(
     if check.imbalance is not None:
         late = math.isfinite(check.imbalance.delay)
         evidence = f"{check.imbalance.text[0].upper()}{check.imbalance.text[1:]}."
-        remedy = "Record all signals by one clock and through one filter." if late else REMEDIES[check.imbalance.kind]
+        remedy = ONE_CLOCK if late else REMEDIES[check.imbalance.kind]
+        if check.imbalance.kind == "perturbation" and check.imbalance.delay < 0.0:
+            lag = f"{1e3 * abs(check.imbalance.delay):.2f} ms"
+            remedy += f" A command that is held between its samples acts later: delay it by {lag} in the file."
         causes.append(Cause("clocks" if late else "force balance", evidence, remedy, True))
     elif abs(time) > max(SKEWED, 3.0 * error):
         causes.append(

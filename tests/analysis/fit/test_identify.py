@@ -91,6 +91,11 @@ def test_conditions_are_identified_together_and_share_what_is_asked_for(noisy_re
         assert first.standard_error[name] < 1.05 * min(known), name
     assert first.arm.k_e != second.arm.k_e
     assert first.detail is second.detail
+    # A shared parameter is one row.
+    rows = together.to_frame().groupby("parameter")["condition"].agg(list)
+    for name in first.values:
+        assert rows[name] == (["RT7.5+RT22.5"] if name in shared else ["RT7.5", "RT22.5"]), name
+    assert (apart.to_frame()["parameter"].value_counts() == 2).all()
 
 
 @pytest.mark.slow(reason="fits trials")

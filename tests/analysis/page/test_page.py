@@ -299,6 +299,10 @@ def test_what_is_wrong_with_the_balance_caps_the_verdict(identified):
         cause = likely_causes(fine, check._replace(imbalance=wrong), diagnosis, None)[0]
         assert (cause.name, cause.supported) == (name, True)
         assert cause.evidence.startswith("Force ")
+    early = Imbalance("perturbation", "perturbation is recorded 0.50 ms earlier", 0.99, 0.02, -5e-4, 1e-5)
+    cause = likely_causes(fine, check._replace(imbalance=early), diagnosis, None)[0]
+    assert cause.name == "clocks"
+    assert "held between its samples acts later: delay it by 0.50 ms in the file" in cause.remedy
 
 
 def test_a_force_that_is_late_or_too_large_is_found_in_the_trials(identified):
