@@ -42,6 +42,8 @@ def read_trials(path: Path, meaning: Sidecar) -> Sequence[RawTrial]:
         names.add(meaning.trial)
     if path.suffix.lower() in ARRAYS:
         return read_arrays(path, sorted(names), meaning.trial)
+    if emg is not None and emg.dialect is not None and emg.file is None:
+        raise ValueError(f"{meaning.path}: signals.emg.csv without signals.emg.file; expected that, or csv of all")
     if emg is not None and emg.rate is not None and emg.file is None:
         raise ValueError(f"{meaning.path}: signals.emg.rate without signals.emg.file; expected both with text, or none")
     trials = read_text(path, sorted(names), meaning.trial, meaning.dialect)
@@ -81,7 +83,7 @@ def _with_emg(
     if not beside.is_file():
         raise FileNotFoundError(f"{beside}: no such file, or a folder; expected signals.emg.file of {meaning.path}")
     names = [*emg.channels.values(), *([] if meaning.trial is None else [meaning.trial])]
-    emg_trials = read_text(beside, names, meaning.trial, meaning.dialect)
+    emg_trials = read_text(beside, names, meaning.trial, emg.dialect or meaning.dialect)
     if meaning.trial is None:
         emg_trials = [replace(emg_trials[0], name=path.name)]
     expected, there = ([trial.name for trial in group] for group in (trials, emg_trials))

@@ -80,6 +80,7 @@ class Signal:
       rate: sampling rate of this signal, if it is not that of the others [Hz].
       file: name of the text file that holds it, if it is not that of the others: beside the sidecar or, with "*" for
         the data file's name without its ending, beside that.
+      dialect: of that file; None for that of the data file.
       lead: of EMG: by how much the other signals are later than it; negative where it is later [s].
       highpass: of EMG: that of its amplifier; None if nobody knows it.
       muscles: of EMG: what each muscle does.
@@ -92,6 +93,7 @@ class Signal:
     start: tuple[float, ...] | str
     rate: float | None
     file: str | None
+    dialect: Dialect | None = None
     lead: float = 0.0
     highpass: HighPass | None = None
     muscles: Mapping[str, Action] | None = None
@@ -331,6 +333,7 @@ def _signal(fields: Fields, name: str, axes: Array | None, angular: bool) -> Sig
         start=_start(fields, components) if "start" in fields else (0.0,) * len(components),
         rate=fields.rate("rate"),
         file=_file(fields) if "file" in fields else None,
+        dialect=_dialect(fields.fields("csv", Dialect._fields)) if "csv" in fields else None,
         lead=_lead(fields),
         highpass=_highpass(fields) if "highpass" in fields else None,
         muscles=_muscles(fields, components) if name == "emg" else None,

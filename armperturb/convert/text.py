@@ -102,6 +102,11 @@ def _columns(path: Path, header: list[str], names: Collection[str]) -> dict[str,
     columns = {}
     for name in names:
         if name not in header:
+            if all(parsed_number(each) is not None for each in header):
+                raise ValueError(
+                    f"{path}: {header[0][:40]!r} where the names of the columns are expected (skip_lines of csv in the "
+                    "sidecar, or in its signals.emg for the file of the EMG: how many lines stand above the names)"
+                )
             raise missing_channel(path, name, header)
         if header.count(name) > 1:
             raise ValueError(f"{path}: column {name!r} comes {header.count(name)} times; expected once")

@@ -119,6 +119,14 @@ def test_one_file_per_trial_with_one_sidecar(tmp_path):
             continue
         with pytest.raises(ValueError, match=r"trial2.csv has the EMG of .*trial1.csv; expected EMG that was recorded"):
             import_recording(paths, sidecar=tmp_path / "all.json")
+    # That file may be written in another way.
+    np.savetxt(tmp_path / "trial1_emg.csv", emg[0], header="title\nb", comments="", fmt="%.7g")
+    sidecar["signals"]["emg"] = of_emg | {"csv": {"skip_lines": 1}}
+    (tmp_path / "all.json").write_text(json.dumps(sidecar))
+    found = import_recording(paths[:1], sidecar=tmp_path / "all.json").recording
+    np.testing.assert_allclose(found["emg"].values, emg[:1], rtol=1e-6)
+    sidecar["signals"]["emg"] = of_emg
+    (tmp_path / "all.json").write_text(json.dumps(sidecar))
     emg[0, 2000:2420] = np.nan
     np.savetxt(tmp_path / "trial1_emg.csv", emg[0], header="b", comments="")
     with pytest.raises(

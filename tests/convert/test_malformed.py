@@ -79,7 +79,7 @@ TEXTS = {
     "empty": (retyped(lambda t: ""), "the file is empty"),
     "a million columns": (retyped(lambda t: "," * 2**20), "line 1: 1048576 characters or more; expected lines of a"),
     "only names": (retyped(lambda t: LINES[0] + "\n"), "rows = 0; expected at least 2"),
-    "no names": (retyped(lambda t: "\n".join(LINES[1:])), "no channel 'Dx'"),
+    "no names": (retyped(lambda t: "\n".join(LINES[1:])), "where the names of the columns are expected"),
     "column missing": (retyped(lambda t: t.replace("Fy", "Fz")), "no channel 'Fy'; expected one of 'trial'"),
     "column twice": (retyped(lambda t: t.replace("Fy", "Fx")), "'Fx' comes 2 times"),
     "text in numbers": (retyped(lambda t: t.replace(LINES[5], LINES[5] + "V")), "line 6: Y = '"),
@@ -208,6 +208,14 @@ SIDECARS = {
     "EMG of another rate in one file": (
         redefined(lambda s: s["signals"].update(emg=EMG)),
         "signals.emg.rate without signals.emg.file",
+    ),
+    "the dialect of EMG in the same file": (
+        redefined(lambda s: s["signals"].update(emg={"channels": {"b": "b"}, "unit": "V", "csv": {"skip_lines": 1}})),
+        "signals.emg.csv without signals.emg.file; expected that",
+    ),
+    "names are skipped": (
+        redefined(lambda s: s.update(csv={"skip_lines": 1})),
+        "where the names of the columns are expected (skip_lines of csv in the sidecar",
     ),
     "rate true": (redefined(lambda s: s.update(rate=True)), "rate = True; expected a number"),
     "half the rate": (
