@@ -61,5 +61,10 @@ class Calibrate(Command):
                 )
                 bar.update(number * self.iterations - bar.n)
         save_calibrations(self.out, calibrations)
-        lines = [f"{each.law}, {each.task}, {fact}" for each in calibrations for fact in each.describe().facts]
+        lines = []
+        for each in calibrations:
+            said = each.describe()
+            lines += [f"{each.law}, {each.task}, {line}" for line in (*said.facts, *said.remarks)]
+            if not each.converged:
+                lines[-1] += f" (--iterations {2 * self.iterations})"
         return [*lines, f"average person: {self.out}"]

@@ -112,7 +112,7 @@ class Identify(Command):
     subject: str | None = None
     """Which subject, if the recordings hold several."""
     condition: str | None = None
-    """The only condition to identify; by default all that have a multisine."""
+    """The only condition to identify; by default all that have a multisine, which must be of one task."""
     window_start: float = WINDOW_START
     """Start of the window of whole periods [s], when the transient has died away."""
     period: float | None = None

@@ -11,7 +11,7 @@ from armperturb.analysis.measures.statistics import FEWEST, effect_of_condition,
 from armperturb.arrays import Array
 from armperturb.study.comparison.ceiling import contradictions
 from armperturb.study.published import tables as published
-from armperturb.study.results.quantities import JOINT_LETTERS, Cell
+from armperturb.study.results.quantities import JOINT_LETTERS, PULSE_LEVELS, Cell
 from armperturb.study.results.trial_measures import PersonMeasures, PulseMeans
 
 PULSED = {
@@ -101,10 +101,16 @@ def _predictions(people: Sequence[PersonMeasures]) -> list[Headline]:
     ]
     smallest, largest = min(means.values(), default=math.nan), max(means.values(), default=math.nan)
     nobody, missing = "nobody's pulse is predicted", len(PREDICTED) - len(means)
-    more = f"; {missing} of {len(PREDICTED)} conditions are missing" if missing else ""
+    more = f"; {missing} of {len(PREDICTED)} pulses are missing" if missing else ""
+    reasons = {
+        (condition, level): nobody
+        if _of(people, condition, level)
+        else f"no pulse of level {PULSE_LEVELS[level]:g} was measured in {condition}"
+        for condition, level in PREDICTED
+    }
     printed = " to ".join(published.headline_text(f"pulse_prediction_{end}") for end in ("low", "high"))
     lines = [
-        _headline("_".join(("pulse_prediction", *pulse)), means.get(pulse, nobody), unit="%", text=printed)
+        _headline("_".join(("pulse_prediction", *pulse)), means.get(pulse, reasons[pulse]), unit="%", text=printed)
         for pulse in PREDICTED
     ]
     for name, value, unit, remark in (

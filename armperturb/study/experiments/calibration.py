@@ -170,6 +170,7 @@ class Calibration(Result):
       values: of the unknowns, by name.
       candidate: the person.
       objective: at the end of the search [-].
+      converged: whether the search ended at a minimum, and not because its steps were used up.
       cells: of the person, on multisines that the search did not see, SI.
     """
 
@@ -178,6 +179,7 @@ class Calibration(Result):
     values: Mapping[str, float]
     candidate: Candidate
     objective: float
+    converged: bool
     cells: Mapping[Cell, float]
 
     def deviations(self, tables: Sequence[str]) -> dict[Cell, float]:
@@ -217,6 +219,7 @@ class Calibration(Result):
                 for row in self.agreement()
             ),
             table=Table(("unknown", "value"), tuple((name, f"{value:.4g}") for name, value in self.values.items())),
+            remarks=() if self.converged else ("the search used up its steps before a minimum; expected more of them",),
         )
 
     def to_frame(self) -> pd.DataFrame:
@@ -310,7 +313,13 @@ def calibrate(
     if cells is None:
         raise RuntimeError(f"calibrate: the average person in {task} leaves the workspace on multisines not seen")
     return Calibration(
-        task=task, law=law, values=values, candidate=candidate, objective=2.0 * solution.cost, cells=cells
+        task=task,
+        law=law,
+        values=values,
+        candidate=candidate,
+        objective=2.0 * solution.cost,
+        converged=solution.status > 0,
+        cells=cells,
     )
 
 

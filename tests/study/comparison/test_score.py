@@ -331,7 +331,7 @@ def test_headlines_say_what_they_lack():
     none = replace(none, trials=tuple(one for one in none.trials if one.condition != PULSED["RT"][1][0]))
     some = named(headlines([none]))
     assert some["p_pulse_admittance_anova_rt"].remark == "nobody has all of RT0, RT2.5, RT7.5, RT22.5"
-    assert "1 of 7 conditions are missing" in some["pulse_underprediction_factor"].remark
+    assert "1 of 7 pulses are missing" in some["pulse_underprediction_factor"].remark
 
 
 def test_pulses_of_a_person(study):

@@ -58,6 +58,7 @@ def calibrations(linear):
             values=typical(task),
             candidate=Candidate.of(task, typical(task)),
             objective=1.0,
+            converged=task == "RT",
             cells=cells,
         )
         for task in TASKS
@@ -262,3 +263,9 @@ def test_shipped_person_is_what_was_calibrated():
     assert set(person.subjects) == set(TASKS)
     assert all(subject.muscle is not None for subject in person.subjects.values())
     assert all(name.startswith("PT") for name in person.levels)
+
+
+def test_a_search_that_used_up_its_steps_says_so(calibrations):
+    said = {each.task: " ".join(each.describe().remarks) for each in calibrations}
+    assert "used up its steps before a minimum" in said["PT"]
+    assert said["RT"] == ""
