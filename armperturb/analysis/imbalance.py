@@ -4,6 +4,7 @@ Noise of the instruments is all that d - f - E^-1 x may hold, whatever the perso
 may put it right, each of which is fitted together with mass, damping and stiffness to all three signals:
 
 - another gain of the force, one or one per axis: a badly calibrated gauge;
+- a share of the force along one axis in the channel of the other: crosstalk of a sensor;
 - a force, displacement or perturbation that is turned: a sensor mounted at an angle, or axes of another frame;
 - mass, damping or stiffness that differ between the axes, or couple them;
 - a delay of the force, of the displacement or of the perturbation against the other two.
@@ -22,10 +23,10 @@ from armperturb.analysis.excited_bands import Spectra
 from armperturb.arrays import Array
 
 Kind: TypeAlias = Literal[
-    "gain", "gains", "rotation", "displacement axes", "perturbation axes", "load",
+    "gain", "gains", "crosstalk", "rotation", "displacement axes", "perturbation axes", "load",
     "force", "displacement", "perturbation", "unknown",
 ]  # fmt: skip
-"""What is wrong: the force's gain, or those in x and y; axes of a signal; the manipulator; the clock of a signal."""
+"""What is wrong: the force's gain, gains or crosstalk; axes of a signal; the manipulator; a signal's clock."""
 
 FEWEST = 10
 """Excited bands below which nothing is compared."""
@@ -129,6 +130,7 @@ _TURNED = np.array([[0.0, -1.0], [1.0, 0.0]])
 _LINEAR: dict[Kind, tuple[Array, list[Array]]] = {
     "gain": (signal_row(0), [*_LOAD, -signal_row(1)]),
     "gains": (signal_row(0), [*_LOAD, -signal_row(1), -signal_row(1, _DIFFERENT)]),
+    "crosstalk": (signal_row(0), [*_LOAD, *(-signal_row(1, np.eye(4)[k].reshape(2, 2)) for k in range(4))]),
     "rotation": (signal_row(0), [*_LOAD, -signal_row(1), -signal_row(1, _TURNED)]),
     "displacement axes": (_BALANCE, [*_LOAD, *(-signal_row(place, _TURNED) for place in (2, 3, 4))]),
     "perturbation axes": (signal_row(0), [*_LOAD, -signal_row(1), -signal_row(0, _TURNED)]),
@@ -142,6 +144,7 @@ _LINEAR: dict[Kind, tuple[Array, list[Array]]] = {
 _REASONS: dict[Kind, str] = {
     "gain": "its calibration, or that of the perturbation",
     "gains": "its calibration",
+    "crosstalk": "crosstalk of its sensor: take it off",
     "rotation": "the mounting of its sensor: turn x and y of it back",
     "displacement axes": "the axes of its sensor: turn x and y of it back",
     "perturbation axes": "the axes of the motors: turn x and y of it back",
@@ -350,6 +353,15 @@ def _linear(spectra: Spectra, kind: Kind, none: _Fit) -> tuple[Imbalance, _Fit]:
     if kind == "perturbation axes":
         bias = _chord(math.atan(more)) * _relative(spectra, _power(spectra, signal_row(0)))
         return Imbalance(kind, f"perturbation {_by_angle(math.atan(more))} ({_REASONS[kind]})", 0.0, bias), fit
+    if kind == "crosstalk":
+        recorded_as = np.linalg.inv(fit.values[3:].reshape(2, 2))
+        (x, of_y), (of_x, y) = recorded_as.tolist()
+        shares = [f"{round(100.0 * share, 1) + 0.0:g} %" for share in (of_y, of_x)]
+        text = f"force along x appears to hold {shares[0]} of that along y, and y {shares[1]} of x"
+        if max(abs(x - 1.0), abs(y - 1.0)) > LEAST_BIAS:
+            text += f", and to be {_too_large(x)} in x and {_too_large(y)} in y"
+        bias = float(np.linalg.norm(recorded_as - np.eye(2), 2))
+        return Imbalance(kind, f"{text} ({_REASONS[kind]})", 0.0, bias), fit
     if kind == "gains":
         x, y = 1.0 / (gain + more), 1.0 / (gain - more)
         text, bias = f"force appears to be {_too_large(x)} in x and {_too_large(y)} in y", max(abs(x - 1), abs(y - 1))

@@ -120,6 +120,24 @@ def test_a_sensor_at_an_angle_is_named_with_the_angle(noise):
 
 
 @pytest.mark.parametrize("noise", [0.0, 1.0])
+@pytest.mark.parametrize(
+    ("sensor", "said"),
+    [
+        ([[1.0, 0.06], [0.0, 1.0]], "x appears to hold 6 % of that along y, and y 0 % of x (crosstalk"),
+        ([[1.0, 0.05], [0.05, 1.0]], "x appears to hold 5 % of that along y, and y 5 % of x (crosstalk"),
+        ([[1.0, 0.04], [-0.02, 1.0]], "x appears to hold 4 % of that along y, and y -2 % of x (crosstalk"),
+        ([[1.2, 0.0], [0.1, 0.9]], "y 10 % of x, and to be 20 % too large in x and 10 % too small in y (crosstalk"),
+    ],
+)
+def test_what_leaks_from_one_axis_of_the_force_into_the_other_is_named(sensor, said, noise):
+    d, f, x = signals(noise=noise)
+    wrong = found(d, f @ np.array(sensor).T, x)
+    assert wrong.kind == "crosstalk"
+    assert said in wrong.text
+    assert wrong.bias == pytest.approx(np.linalg.norm(sensor - np.eye(2), 2), rel=0.05)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0])
 @pytest.mark.parametrize(("place", "name"), [(0, "perturbation"), (2, "displacement")])
 def test_a_signal_in_axes_that_are_turned_is_named_with_the_angle(place, name, noise):
     three = signals(noise=noise)

@@ -39,6 +39,7 @@ BODY = ("i_", "m_", "b_", "k_", "b.", "k.")
 REMEDIES: dict[Kind, str] = {
     "gain": "Check the sign of the force; calibrate the gauge and the perturbation.",
     "gains": "Calibrate the gauge, axis by axis.",
+    "crosstalk": "Calibrate the sensor with a matrix, which takes what leaks from one axis into the other off.",
     "rotation": "Turn the force into the axes of the other signals (signals.force.axes, if it is by right angles).",
     "displacement axes": "Turn x and y of the displacement into the axes of the other signals.",
     "perturbation axes": "Turn x and y of the perturbation into the axes of the other signals.",
