@@ -256,6 +256,8 @@ def test_axes_are_labelled(identified):
     result = identified["RT22.5"]
     assert data.attrs == result.fit.labels
     assert result.to_xarray().attrs == {**result.fit.labels, "condition": "RT22.5"}
+    for each in (result.spectra, result.endpoint()):
+        assert {"condition": "RT22.5", "subject": "relax"}.items() <= each.to_xarray().attrs.items()
     part = data.sel(condition="RT22.5")
     np.testing.assert_array_equal(part["arm"], result.spectra.arm)
     np.testing.assert_array_equal(part["arm"].sel(output="x", input="y"), result.spectra.arm[:, 0, 1])

@@ -261,8 +261,10 @@ class EndpointImpedance(Result):
         """The columns `value`, `lower_95` and `upper_95` of `to_frame` along quantity and measure."""
         columns = ["value", "lower_95", "upper_95"]
         dataset = self.to_frame().set_index(["quantity", "measure"])[columns].to_xarray()
-        about = {"theta_s_deg": self.arm.theta_s_deg, "theta_e_deg": self.arm.theta_e_deg, "condition": self.condition}
-        return dataset.assign_attrs(about)
+        arm, condition = self.arm, self.condition
+        return dataset.assign_attrs(
+            theta_s_deg=arm.theta_s_deg, theta_e_deg=arm.theta_e_deg, condition=condition, subject=arm.name
+        )
 
     def plot(self, figure: "Figure | None" = None) -> Any:
         """Draw the arm and its ellipses with their 95 % bands.

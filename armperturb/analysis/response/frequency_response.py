@@ -200,7 +200,8 @@ class FrequencyResponse(Result):
             variables["covariance"] = (element, self.covariance, described)
         if self.dof is not None:
             variables["dof"] = ("frequency", self.dof, {"long_name": "complex degrees of freedom of the covariance"})
-        return xr.Dataset(variables, coords=response_coordinates(self.frequency), attrs={"what": self.what})
+        attributes = {"what": self.what, **self.labels}
+        return xr.Dataset(variables, coords=response_coordinates(self.frequency), attrs=attributes)
 
     def plot(self, level: float = 0.95, figure: "Figure | None" = None) -> Any:
         """Draw gain and phase of each element, with the bands of `bands` where the covariance is known.

@@ -145,7 +145,8 @@ class AxisResponse(FrequencyResponse):
         for of in ("coherence", "distortion", "distortion_limit"):
             variables[of] = name, getattr(self, of), {"units": "-"}
         coordinates = {name: (name, self.frequency, {"units": "Hz"})}
-        return xr.Dataset(variables, coords=coordinates, attrs={"what": self.what, "p_linear": self.p_linear})
+        attributes = {"what": self.what, "p_linear": self.p_linear, **self.labels}
+        return xr.Dataset(variables, coords=coordinates, attrs=attributes)
 
     def plot(self, level: float = 0.95, figure: "Figure | None" = None) -> Any:
         """Draw gain and phase with their bands, and coherence and distortion below them.

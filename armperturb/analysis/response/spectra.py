@@ -97,6 +97,7 @@ class SpectralEstimate(Result):
                 "n_averages": (element[:1], self.n_averages, {"long_name": "lines times trials behind each point"}),
             },
             coords=response_coordinates(self.frequency),
+            attrs=self.labels,
         )
 
     def plot(self, figure: "Figure | None" = None) -> Any:
