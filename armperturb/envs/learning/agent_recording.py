@@ -70,6 +70,7 @@ def record_agent(
         owner="record_agent",
     )
     subjects = [subject_in(trial, task.environment) for trial in trials]
+    _ = setup.lowpass  # whose cut-off may be too high
     session = Session(task, len(trials))
     session.start(session.people.everybody, trials)
     return recorded(trials, subjects, setup, _truth(session, agent, np.array([s.posture for s in subjects]), setup))

@@ -206,23 +206,27 @@ class ArmPerturbEnv(KnownLength, Saved, gym.Env):
         return {name: values[0] if values.ndim > 1 else values.item() for name, values in truth.items()}
 
     def _moment(self) -> Moment:
-        return moment(self.settings, self._subject, list(self._watched))
+        (largest,) = self._session.people.largest_forces()
+        return moment(self.settings, self._subject, list(self._watched), float(largest))
 
 
-def moment(settings: TaskSettings, subject: Subject | None, watched: Sequence[Array]) -> Moment:
-    """What shows of a person now.
+def moment(settings: TaskSettings, subject: Subject | None, watched: Sequence[Array], largest: float) -> Moment:
+    """What shows of a person now, with arrows to the scale of the task's forces, or of the trial's if these are larger.
 
     Args:
       settings: the task.
       subject: the person; None before the first trial.
       watched: what was to be seen up to now, the oldest first, (8,) each, as in `WATCHED`.
+      largest: force of the trial's perturbation [N].
 
     Raises:
       RuntimeError: no trial has begun.
     """
     if subject is None:
         raise RuntimeError("render: no trial has begun; expected reset first")
-    now = Moment(1.0 / settings.control_rate)
+    of_task = np.max(settings.peak) if "pulse" in settings.perturbation else 0.0
+    highest = max(of_task, 3.0 * np.max(settings.rms), largest)
+    now = Moment(1.0 / settings.control_rate, LONGEST_ARROW / highest)
     now.begin(subject)
     now.trail.extend(row[2:4] for row in watched[:-1])
     now.update(*watched[-1].reshape(len(WATCHED), 2))
@@ -235,9 +239,8 @@ def is_whole(seed: object) -> TypeGuard[SupportsInt]:
 
 
 def live_view(settings: TaskSettings) -> LiveView:
-    """Pictures of a task, with arrows to the scale of its forces."""
-    highest = max(np.max(settings.peak) if "pulse" in settings.perturbation else 0.0, 3.0 * np.max(settings.rms))
-    return LiveView(settings.environment, 1.0 / settings.control_rate, LONGEST_ARROW / highest)
+    """Pictures of a task."""
+    return LiveView(settings.environment, 1.0 / settings.control_rate)
 
 
 def checked_picture(view: str, width: int, height: int) -> tuple[str, int, int]:

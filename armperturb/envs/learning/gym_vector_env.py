@@ -200,9 +200,10 @@ class ArmPerturbVectorEnv(KnownLength, Saved, VectorEnv):
         begun = None not in self._streams
         truth = self._session.truth()
         watched = np.concatenate([truth[name] for name in WATCHED], axis=1)
+        largest = self._session.people.largest_forces().tolist()
         moments = [
-            moment(self.settings, subject if begun else None, [now])
-            for subject, now in zip(self._subjects, watched, strict=True)
+            moment(self.settings, subject if begun else None, [now], force)
+            for subject, now, force in zip(self._subjects, watched, largest, strict=True)
         ]
         return tuple(self._live_view.picture(moment, *self._picture) for moment in moments)
 

@@ -76,7 +76,7 @@ def own_action(settings: TaskSettings) -> Array:
 def observation_bounds(settings: TaskSettings) -> Array:
     """Largest absolute value of each part of an observation, (sense,)."""
     if settings.senses == "normalised":
-        return np.full(len(SENSES), NORMALISED_LIMIT)
+        return NORMALISED_LIMIT * np.append(np.ones(6), [max(settings.visual_gain, 1.0)] * 2)
     # In darkness everything seen is zero; a space must have some extent all the same.
     return SENSE_LIMITS * np.append(np.ones(6), [max(settings.visual_gain, 1e-3)] * 2)
 
@@ -176,6 +176,7 @@ class Participants:
             self._known[person, : len(known)] = known
             self._known[person, len(known) :] = 0.0
             self._recorded[person, : len(recorded)] = recorded
+            self._recorded[person, len(recorded) :] = 0.0
         return subjects
 
     def rest(self, people: Indices) -> list[Subject]:
@@ -364,7 +365,8 @@ class Participants:
             rewards = -settings.displacement_weight * square - (efforts[0] + efforts[1] + efforts[2])
             lost = 1 + np.maximum(self.n_steps - self.step, 0) // self._every
             return np.where(terminated, -settings.worst * lost, rewards), terminated, truncated
-        highest = max(settings.highest_level, 1.0) ** 2
+        # Where the agent sets no levels, they are the person's own.
+        highest = (settings.highest_level if settings.sets_levels else max(settings.highest_level, 1.0)) ** 2
         spared = [1.0 - mean / most for mean, most in zip(squares, (highest, highest, 1.0), strict=True)]
         terms = [1.0 / (1.0 + settings.displacement_weight * square)]
         terms += [weight * share for weight, share in zip(weights, spared, strict=True)]
@@ -385,3 +387,7 @@ class Participants:
     def perturbation(self) -> Array:
         """Disturbance at this moment [N], (person, axis)."""
         return self._recorded[self.everybody, np.minimum(self.step // self._every, self._recorded.shape[1] - 1)]
+
+    def largest_forces(self) -> Array:
+        """Largest force of each trial's perturbation [N], (person,)."""
+        return np.asarray(np.linalg.norm(self._recorded, axis=2).max(axis=1))

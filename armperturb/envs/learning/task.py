@@ -39,6 +39,9 @@ OUT_OF_BOUNDS = ("clip", "refuse")
 OPTIONS = ("perturbation", "rms", "peak", "directions_deg", "onset_window", "randomise", "noise", "trial")
 """What may be chosen anew at each reset; all but the trial as in `TaskSettings`."""
 
+OF_KIND = {"rms": "multisine", "peak": "pulse", "directions_deg": "pulse", "onset_window": "pulse"}
+"""Option to the part of the perturbation that it is of."""
+
 REALISATIONS = 8
 """Multisines of lowered crest factor among which trials choose; each begins anywhere in its period."""
 
@@ -275,7 +278,14 @@ class TaskSettings:
             if key not in OPTIONS:
                 raise ValueError(f"reset: unknown option {key!r}; expected some of {', '.join(OPTIONS)}")
         if "trial" not in options:
-            return replace(self, **options)._draw if options else self._draw
+            settings = replace(self, **options) if options else self
+            for key in options:
+                if OF_KIND.get(key, "") not in settings.perturbation:
+                    raise ValueError(
+                        f"reset: {key} = {options[key]!r} with perturbation = {settings.perturbation!r}, which has no "
+                        f"{OF_KIND[key]}; expected the option perturbation with one, or no {key}"
+                    )
+            return settings._draw
         if len(options) > 1:
             raise ValueError(f"reset: options = {', '.join(options)}; expected nothing else beside a trial")
         trial = self.checked(options["trial"], "reset")

@@ -24,14 +24,17 @@ class Moment:
       pose: joint angles [rad] and displacement of the handle [m], (4,).
       forces: disturbance and reaction force [N], (2, axis).
       trail: displacements up to now [m], the oldest first.
+      scale: length of an arrow per force [m/N].
     """
 
-    def __init__(self, period: float) -> None:
+    def __init__(self, period: float, scale: float) -> None:
         """Begin with nothing to show.
 
         Args:
           period: between moments [s].
+          scale: length of an arrow per force [m/N].
         """
+        self.scale = scale
         self.subject: Subject | None = None
         self.pose, self.forces = np.zeros(4), np.zeros((2, 2))
         self.trail: deque[Array] = deque(maxlen=round(TRAIL / period) + 1)
@@ -51,15 +54,14 @@ class Moment:
 class LiveView:
     """Shows moments of trials in pictures or in a window, which the first one opens and `close` closes."""
 
-    def __init__(self, environment: Environment, period: float, scale: float) -> None:
+    def __init__(self, environment: Environment, period: float) -> None:
         """Begin with nothing open.
 
         Args:
           environment: what the hand holds.
           period: between moments [s].
-          scale: length of an arrow per force [m/N].
         """
-        self._environment, self._period, self._scale = environment, period, scale
+        self._environment, self._period = environment, period
         self._size: tuple[float, ...] | None = None
         self._camera: Camera | None = None
         self._window: Any = None
@@ -75,7 +77,7 @@ class LiveView:
             model = self._model(moment)
             simplify(model, height)
             self._camera = Camera(model, width=width, height=height)
-        arrows = force_arrows(moment.forces[0], moment.forces[1], self._scale)
+        arrows = force_arrows(moment.forces[0], moment.forces[1], moment.scale)
         return self._camera.draw(moment.pose, view, arrows=arrows, trail=np.array(moment.trail))
 
     def show(self, moment: Moment) -> None:

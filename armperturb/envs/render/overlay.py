@@ -102,6 +102,10 @@ def _font(size: int) -> ImageFont.FreeTypeFont:
     return ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"), size)
 
 
+LEAST_SPAN = 1e-6
+"""Of an axis of the chart [N, cm]: what is less at rest is rounding."""
+
+
 class StripChart:
     """Forces and displacement against time, drawn once; `at` adds where the video is.
 
@@ -135,6 +139,9 @@ class StripChart:
             ax.set_ylabel(units, fontsize=size, labelpad=2)
             ax.set_xlim(*self._span)
             ax.margins(y=0.08)
+            middle, span = np.mean(ax.get_ylim()), np.ptp(ax.get_ylim())
+            if span < LEAST_SPAN:
+                ax.set_ylim(middle - LEAST_SPAN, middle + LEAST_SPAN)
             ax.locator_params(axis="y", nbins=4)
             ax.ticklabel_format(axis="x", useOffset=False)
             ax.grid(linewidth=line / 2)

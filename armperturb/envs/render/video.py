@@ -26,6 +26,9 @@ FRAME_RATES = {".mp4": 30.0, ".gif": 20.0}
 """File ending to frames per second; those of a GIF stay whole hundredths of a second."""
 
 
+LEAST_FORCE = 1e-6
+"""Force [N] below which there is none but rounding: arrows have no scale of their own then."""
+
 LONGEST_ARROW = 0.3
 """Length of the arrow of the largest force [m], unless it would leave the picture."""
 
@@ -118,7 +121,7 @@ def arrow_scale(camera: Camera, views: tuple[str, ...], shown: Replay) -> float:
     """
     forces = np.concatenate([shown.disturbance, shown.reaction])
     largest = float(np.linalg.norm(forces, axis=1).max())
-    if largest == 0.0:
+    if largest < LEAST_FORCE:
         return LONGEST_ARROW
     starts = camera.handle(np.concatenate([shown.displacement, shown.displacement]))
     flat = np.pad(forces, ((0, 0), (0, 1)))

@@ -175,7 +175,10 @@ const Lab = (() => {
 
   function readHash() {
     const parts = new URLSearchParams(location.hash.slice(1));
-    if (parts.get("preset") in data.presets) state.preset = parts.get("preset");
+    const asked = parts.get("preset");
+    if (asked !== null && Object.hasOwn(data.presets, asked)) state.preset = asked;
+    at("absent").hidden = asked === null || asked === state.preset;
+    at("absent").textContent = `This page has no ${asked}: what the link sets is set to ${state.preset}.`;
     state.kind = parts.get("kind") === "multisine" ? "multisine" : "pulse";
     state.values = {};
     ALL.forEach(slider => {

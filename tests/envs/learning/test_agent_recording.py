@@ -49,9 +49,13 @@ def test_it_tells_when_the_handle_reached_the_limit():
         (NAME, [trial()], {"instruments": ap.Instruments()}, r"expected Instruments\(emg=None\)"),
         ("ArmPerturb/Relax-v1", [trial()], {}, "^record_agent: trial has the task PT; expected RT"),
         (NAME, [trial()], {"rate": 300.0}, "^record_agent: rate = 300.0 Hz; expected the simulation's 400 Hz over"),
+        (NAME, [trial()], {"rate": 100.0, "instruments": ap.Instruments(emg=None)}, "antialias = 80"),
         (NAME, [trial()], {"rate": 1000.0}, r"\(the option timestep = 0\.001 goes with this rate\)"),
     ],
 )
 def test_what_cannot_be_recorded_is_refused(name, trials, more, message):
+    def never(_):
+        raise AssertionError("refused only after it was asked")
+
     with pytest.raises(ValueError, match=message):
-        ap.record_agent(name, own, trials, **more)
+        ap.record_agent(name, never, trials, **more)

@@ -18,6 +18,7 @@ from armperturb.cohort import draw_person
 from armperturb.controllers.remnant import HUMAN_NOISE, HumanNoise
 from armperturb.environment import Environment
 from armperturb.envs.lab.simulation import callbacks, silent_simulator
+from armperturb.envs.learning.gym_env import moment
 from armperturb.envs.learning.gym_vector_env import ArmPerturbVectorEnv
 from armperturb.envs.learning.levels import subject_at
 from armperturb.envs.learning.participants import SENSES, action_names
@@ -291,6 +292,17 @@ def test_senses_are_late_by_their_delays_and_vision_has_its_gain():
         )
         np.testing.assert_array_equal(observations[now], expected.astype(np.float32))
     assert not observations[1].any()  # 20 ms after the start nothing has arrived
+
+
+def test_what_is_seen_may_be_as_large_as_its_gain_makes_it():
+    seen = {}
+    for senses in ("normalised", "physical"):
+        env = made(visual_gain=10.0, visual_delay=0.0, senses=senses, **SHORT)
+        env.reset(seed=0, options={"rms": 20.0})
+        seen[senses] = np.array([env.step(env.own_action)[0][6:] for _ in range(20)])
+        assert (np.abs(seen[senses]) <= env.observation_space.high[6:]).all()
+    assert np.abs(seen["normalised"]).max() > 20.0
+    np.testing.assert_allclose(seen["normalised"], seen["physical"] / 0.005, rtol=1e-5)
 
 
 def test_in_the_dark_nothing_is_seen():
@@ -586,6 +598,12 @@ def test_actions_of_another_shape_or_kind_are_refused():
         ({"pulse": 3}, ValueError, "unknown option 'pulse'; expected some of perturbation, rms"),
         ({"rms": -1.0}, ValueError, "rms = -1.0"),
         ("rms", TypeError, "options = 'rms'; expected a dict"),
+        ({"peak": 90.0}, ValueError, "peak = 90.0 with perturbation = 'multisine', which has no pulse"),
+        (
+            {"perturbation": "pulse", "rms": 3.0},
+            ValueError,
+            "rms = 3.0 with perturbation = 'pulse', which has no multi",
+        ),
         ({"trial": 3}, TypeError, "trial = 3; expected Trial"),
         ({"trial": study_trials("RT")[0]}, ValueError, "trial has the task RT; expected PT"),
         ({"trial": study_trials("PT")[0], "rms": 1.0}, ValueError, "expected nothing else beside a trial"),
@@ -605,7 +623,7 @@ def test_actions_of_another_shape_or_kind_are_refused():
             "k_h = inf; expected a finite grip stiffness in a simulation",
         ),
     ],
-    ids=["unknown", "range", "dict", "type", "task", "both", "delay", "feedback", "grip"],
+    ids=["unknown", "range", "dict", "peak", "rms", "type", "task", "both", "delay", "feedback", "grip"],
 )
 def test_bad_options_are_refused(options, error, message):
     env = made(**SHORT)
@@ -758,6 +776,13 @@ def test_pictures_show_the_handle_moving():
     for closed in (env, envs):
         with pytest.raises(RuntimeError, match="render: the environment is closed; expected one that is open"):
             closed.render()
+
+
+def test_arrows_have_the_scale_of_the_largest_force_of_task_and_trial():
+    settings = made(**SHORT).unwrapped.settings
+    small, large = (moment(settings, PERSON.subjects["PT"], [np.zeros(8)], force).scale for force in (1.0, 110.0))
+    assert small == pytest.approx(0.25 / (3.0 * settings.rms))
+    assert large == pytest.approx(0.25 / 110.0)
 
 
 def test_no_window_opens_after_close(monkeypatch):

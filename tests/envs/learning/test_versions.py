@@ -61,6 +61,13 @@ def test_effort_is_a_share_of_the_most_that_can_be_set():
     assert [info[term] for term in TERMS[1:]] == pytest.approx(expected, rel=1e-12)
 
 
+def test_all_effort_that_relaxed_people_may_set_leaves_nothing_of_its_terms():
+    env = gym.make("ArmPerturb/Relax-v1", highest_level=0.3, activation_time=0.0, noise=False, **SHORT)
+    env.reset(seed=0)
+    info = env.step(np.ones(11, dtype=np.float32))[4]
+    assert [info[term] for term in TERMS[1:]] == pytest.approx([0.0] * 3, abs=1e-12)
+
+
 def test_ending_early_never_pays():
     env = gym.make(POSITION, **SEVERE)
     env.reset(seed=0)
