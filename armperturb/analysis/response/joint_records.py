@@ -47,6 +47,9 @@ SAME_DIRECTION = 1e-6
 BIN = 10.24
 """Length of the segments from which the power of the disturbance is estimated [s]."""
 
+HIGHEST = 0.4
+"""Frequencies up to this share of the rate are used [-]."""
+
 EXCITED_DENSITY = 1e-3
 """Share of the largest power density above which a frequency counts as excited. It is larger than that of the lines of
 a multisine (`spectra.EXCITED_LINE`), as Welch's segments leak power into neighbouring frequencies."""
@@ -118,7 +121,7 @@ def excited_frequencies(records: Sequence[TrialRecord]) -> Array:
     long_enough = [record.perturbation for record in records if len(record.perturbation) >= n_bin]
     frequency = np.fft.rfftfreq(n_bin, 1.0 / rate)
     power = np.sum([signal.welch(d, rate, nperseg=n_bin, axis=0)[1] for d in long_enough], axis=(0, 2))
-    power[(frequency == 0.0) | (frequency > 0.4 * rate)] = 0.0
+    power[(frequency == 0.0) | (frequency > HIGHEST * rate)] = 0.0
     return np.asarray(frequency[power > EXCITED_DENSITY * power.max()])
 
 

@@ -11,8 +11,10 @@ the linear response to d has, which no noise reaches. Other distortion than this
 coherence like noise.
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,21 +25,32 @@ from scipy import stats
 from armperturb.analysis.cuts import inside_limit
 from armperturb.analysis.joint_balance import impossible_joint
 from armperturb.analysis.manipulator import copies_left_out
+from armperturb.analysis.numerics.periodicity import find_period, samples_of_period
 from armperturb.analysis.response.closed_loop import (
+    HALF_WIDTH,
     HIGH_ORDERS,
     LEAKAGE_ORDER,
+    LEAST_DOF,
     N_POINTS,
     excited_band,
     fit_near,
     lines_around,
 )
 from armperturb.analysis.response.frequency_response import FrequencyResponse, System, require_frequencies
-from armperturb.analysis.response.joint_records import admittance_of, error_of, resampled, variance_of
+from armperturb.analysis.response.joint_records import (
+    EXCITED_DENSITY,
+    HIGHEST,
+    admittance_of,
+    error_of,
+    resampled,
+    variance_of,
+)
 from armperturb.analysis.response.local_polynomial import (
     DependentDisturbancesError,
     LocalFit,
     Window,
     fit_locally,
+    n_unknowns,
     whole_window,
     with_differences,
 )
@@ -54,6 +67,12 @@ if TYPE_CHECKING:
 ORDER = 2
 """Of the polynomials whose residuals are compared with and without the modulus of the velocity."""
 
+SAME_LINE, CLEAR = 1e-6, 0.9
+"""Relative distance of what is one line, and half the width of a window over the distance to the next line [-]."""
+
+OF_SYSTEM: dict[str, str] = {"arm": "", "environment": "the manipulator", "total": "limb and manipulator"}
+"""Whose response it is, before the name of the person."""
+
 LEVEL = 0.95
 """Probability with which the distortion of a linear limb stays below `distortion_limit` [-]."""
 
@@ -67,10 +86,12 @@ class AxisResponse(FrequencyResponse):
       units: of the response, e.g. "Nm/rad".
       coherence: share of the output's power that the linear response to the servo's input accounts for [-],
         (frequency,); the output is the torque on a position servo, the angle on a force servo.
-      distortion: share of the torque's power that follows the modulus of the velocity and no linear response [-],
+      distortion: share of the torque's power that follows the modulus of the velocity and no linear response [-]; NaN
+        where an input that repeats does not tell, which has both at a single line,
         (frequency,); unbiased, so that it may come out negative.
       distortion_limit: below which it stays with a probability of `LEVEL` if the limb is linear [-], (frequency,).
-      p_linear: probability of as much distortion at all frequencies together if the limb is linear [-].
+      p_linear: probability of as much distortion at all frequencies together if the limb is linear [-]; NaN where none
+        tells.
     """
 
     kind: str
@@ -90,13 +111,13 @@ class AxisResponse(FrequencyResponse):
                 f"{plain(gain[k], 3)} +/- {plain(radius[k], 2)}",
                 f"{phase[k]:.0f}",
                 f"{self.coherence[k]:.3f}",
-                f"{self.distortion[k]:.1%}",
+                "-" if math.isnan(self.distortion[k]) else f"{self.distortion[k]:.1%}",
             )
             for k in range(len(self.frequency))
         )
         span = f"{len(rows)} frequencies, {plain(self.frequency[0], 3)} to {plain(self.frequency[-1], 3)} Hz"
         return Description(
-            title=f"{self.kind.capitalize()} of {self.label}" if self.label else self.kind.capitalize(),
+            title=" of ".join(part for part in (self.kind.capitalize(), OF_SYSTEM[self.what], self.label) if part),
             facts=(f"{span}; gain with its 95 % limit", self.sentence),
             table=Table(("frequency [Hz]", f"gain [{self.units}]", "phase [deg]", "coherence [-]", "distortion"), rows),
             remarks=self.remarks,
@@ -105,7 +126,9 @@ class AxisResponse(FrequencyResponse):
     @property
     def sentence(self) -> str:
         """Whether the limb is linear."""
-        most = int(np.argmax(self.distortion))
+        if math.isnan(self.p_linear):
+            return "distortion: single lines do not tell it from the response"
+        most = int(np.nanargmax(self.distortion))
         whose = "torque" if "rad" in self.units else "force"
         share, frequency = max(self.distortion[most], 0.0), self.frequency[most]
         where = f"at most {share:.1%} of the {whose}'s power, at {frequency:.3g} Hz"
@@ -180,7 +203,8 @@ def one_axis_response(
       recordings: trials of one axis, of one person in one condition; their lengths may differ. Those that met the limit
         of the workspace count only if there are no others, up to then.
       what: "arm" is the limb; of a force servo also "environment" (x over d - f) or "total" (x over d).
-      frequency: where the response is wanted [Hz], (frequency,); None takes up to 40 of those that are excited.
+      frequency: where the response is wanted [Hz], (frequency,); None takes up to 40 of those that are excited, and
+        of an input that repeats its lines.
       window_start: start of what is used [s].
       order: of the response's polynomial; by default 2, or up to 5 where that fits clearly better.
 
@@ -201,16 +225,23 @@ def one_axis_response(
     inside, left_out = inside_limit([trials.recording for trials in several])
     records = [resampled(record) for each in inside for record in _records(each, window_start, imposed=imposed)]
     spectra = [whole_window(record) for record in records]
-    if frequency is None:
-        wanted = _imposed_band(records) if imposed else excited_band(records)
-    else:
+    repeated = _lines(records, imposed=imposed)
+    if frequency is not None:
         wanted = require_frequencies(frequency, records[0].rate)
+    elif len(repeated):
+        wanted = _spread(repeated)
+    else:
+        wanted = _imposed_band(records) if imposed else excited_band(records)
     orders: tuple[int, ...] = HIGH_ORDERS if order is None else (order,)
     fits, power = [], []
     try:
         for centre in wanted.tolist():
-            windows = lines_around(spectra, centre, orders[0])
-            fits.append(fit_near(windows, centre, orders))
+            windows = _alone(spectra, centre, repeated) if order is None else []
+            if windows:
+                fits.append(fit_locally(windows, centre, order=0, leakage_order=LEAKAGE_ORDER))
+            else:
+                windows = lines_around(spectra, centre, orders[0])
+                fits.append(_as_bent(partial(_near, windows, centre, orders), orders[0], order is None))
             lines = np.concatenate([window.perturbation for window in windows])
             power.append(float(np.mean(np.abs(lines) ** 2)))
         distortion, limit, p_linear = _distortion(records, spectra, wanted, fits, imposed=imposed)
@@ -268,6 +299,80 @@ def _records(recording: xr.Dataset, window_start: float, *, imposed: bool) -> li
     return [TrialRecord(u, z, rate) for u, z in zip(inputs, outputs, strict=True)]
 
 
+def _alone(spectra: Sequence[Window], centre: float, lines: Array) -> list[Window]:
+    """Windows around a line of a repeated input in which no other line has power; none where these are too narrow.
+
+    Nothing has to be known there of how the response bends: it is that of the one line.
+
+    Args:
+      spectra: of whole records.
+      centre: [Hz].
+      lines: all that have power [Hz], (line,).
+    """
+    apart = np.abs(lines - centre)
+    if not len(lines) or apart.min() > SAME_LINE * centre:
+        return []
+    others = apart[apart > SAME_LINE * centre]
+    half = max(HALF_WIDTH[0], HALF_WIDTH[1] * centre)
+    if len(others):
+        half = min(half, CLEAR * float(others.min()))
+    used = [each for each in (window.within(centre - half, centre + half) for window in spectra) if len(each.frequency)]
+    rows = sum(len(window.frequency) for window in used)
+    is_enough = rows >= n_unknowns(len(used), 0, LEAKAGE_ORDER, n_inputs=1) + LEAST_DOF
+    return used if used and is_enough and all(len(each.frequency) > LEAKAGE_ORDER + 1 for each in used) else []
+
+
+def _near(windows: Sequence[Window], centre: float, orders: tuple[int, ...], order: int) -> LocalFit:
+    """The fit of these orders, or of a lower one."""
+    return fit_near(windows, centre, orders if order == orders[0] else (order,))
+
+
+def _as_bent(fit: Callable[[int], LocalFit], order: int, may_be_lower: bool) -> LocalFit:
+    """A fit of the highest order that the lines with power in a window determine: of a single one, a constant.
+
+    Args:
+      fit: of an order.
+      order: the highest.
+      may_be_lower: whether another is allowed.
+
+    Raises:
+      DependentDisturbancesError: none is determined.
+    """
+    try:
+        return fit(order)
+    except DependentDisturbancesError:
+        if not may_be_lower or order == 0:
+            raise
+    return _as_bent(fit, order - 1, may_be_lower)
+
+
+def _lines(records: Sequence[TrialRecord], *, imposed: bool) -> Array:
+    """Lines with power of an input that repeats [Hz], (line,); none where it does not.
+
+    Between lines there is no power, but for what leaks from them: a response there would be that to the noise.
+    """
+    rate = records[0].rate
+    longest = max(len(record.perturbation) for record in records)
+    inputs = [record.perturbation for record in records if len(record.perturbation) == longest]
+    try:
+        n_period = samples_of_period(find_period(inputs, rate), rate)
+    except ValueError:
+        return np.empty(0)
+    n_periods = longest // n_period
+    means = [each[-n_periods * n_period :].reshape(n_periods, n_period).mean(axis=0) for each in inputs]
+    power = np.sum(np.abs(np.fft.rfft(means, axis=1)) ** 2, axis=0)
+    frequency = np.fft.rfftfreq(n_period, 1.0 / rate)
+    power[(frequency == 0.0) | (frequency > HIGHEST * rate)] = 0.0
+    shapes = [power, power * frequency**4] if imposed else [power]
+    return np.asarray(frequency[np.any([each > EXCITED_DENSITY * each.max() for each in shapes], axis=0)])
+
+
+def _spread(frequency: Array) -> Array:
+    """At most `N_POINTS` of some frequencies, as even as there are on a logarithmic scale."""
+    even = np.geomspace(frequency[0], frequency[-1], N_POINTS)
+    return np.asarray(np.unique(frequency[np.abs(frequency - even[:, None]).argmin(axis=1)]))
+
+
 def _imposed_band(records: Sequence[TrialRecord]) -> Array:
     """Frequencies at which an imposed movement or its acceleration has power [Hz], (frequency,).
 
@@ -278,8 +383,7 @@ def _imposed_band(records: Sequence[TrialRecord]) -> Array:
         for record in records
     ]
     both = np.unique(np.concatenate([excited_band(records), excited_band(second)]))
-    even = np.geomspace(both[0], both[-1], N_POINTS)
-    return np.unique(both[np.abs(both - even[:, None]).argmin(axis=1)])
+    return _spread(both)
 
 
 def _distortion(
@@ -300,9 +404,14 @@ def _distortion(
     for at, centre in enumerate(wanted.tolist()):
         windows = lines_around(both, centre, ORDER)
         alone = [window._replace(perturbation=window.perturbation[:, :1]) for window in windows]
-        linear, full = (
-            fit_locally(each, centre, order=ORDER, leakage_order=LEAKAGE_ORDER) for each in (alone, windows)
-        )
+
+        try:
+            linear, full = (
+                fit_locally(each, centre, order=ORDER, leakage_order=LEAKAGE_ORDER) for each in (alone, windows)
+            )
+        except DependentDisturbancesError:
+            share[at] = limit[at] = math.nan
+            continue
         left, less = (float(fit.noise[0, 0].real) for fit in (linear, full))
         extra = linear.dof - full.dof
         whole = float(np.sum([np.sum(np.abs(window.answer[:, 0]) ** 2) for window in windows]))
@@ -314,7 +423,7 @@ def _distortion(
         if low > end:
             p.append(max(float(stats.f.sf(max(ratio, 0.0), 2 * extra, 2 * full.dof)), 1e-300))
             end = high
-    return share, limit, float(stats.chi2.sf(-2.0 * np.sum(np.log(p)), 2 * len(p)))
+    return share, limit, float(stats.chi2.sf(-2.0 * np.sum(np.log(p)), 2 * len(p))) if p else math.nan
 
 
 def _velocity(record: TrialRecord, linear: tuple[Array, ComplexArray] | None) -> Array:

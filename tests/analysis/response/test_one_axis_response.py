@@ -98,11 +98,75 @@ def test_what_follows_the_workspace_limit_does_not_count():
     assert not cut.remarks
 
 
-def test_a_sine_is_named():
-    recording = one_joint.recording(one_joint.person("ankle", 3, "none"), 3, duration=12.0)
-    tone = 0.05 * np.sin(2.0 * np.pi * 2.0 * recording["time"].values)
-    with pytest.raises(ValueError, match=r"the movement has power at too few frequencies near .* expected a band"):
-        ap.response(recording.assign(displacement=recording["displacement"].copy(data=tone[None, :, None])))
+RATE, INERTIA, DAMPING, STIFFNESS = 250.0, 0.003, 0.05, 2.0
+DEVICE = 0.002, 0.02, 1.5
+"""Inertia, damping and stiffness of the virtual environment."""
+
+
+def impedance_of(parameters, frequency):
+    s = 2j * np.pi * np.asarray(frequency)
+    inertia, damping, stiffness = parameters
+    return inertia * s**2 + damping * s + stiffness
+
+
+def repeated(servo, lines, duration, n_trials, seed=0):
+    """Trials of a linear limb under a multisine with these lines [Hz], whose torque is noisy, in closed form."""
+    rng, n = np.random.default_rng(seed), round(duration * RATE)
+    frequency = np.fft.rfftfreq(n, 1.0 / RATE)
+    limb, device = (impedance_of(of, frequency) for of in ((INERTIA, DAMPING, STIFFNESS), DEVICE))
+    time = np.arange(n) / RATE
+    angle = 2.0 * np.pi * (np.asarray(lines)[:, None, None] * time + rng.random((len(lines), n_trials, 1)))
+    moved = np.sin(angle).sum(axis=0) / np.sqrt(len(lines))
+    noise = np.fft.rfft(rng.standard_normal((n_trials, n))) * 0.05 / (1.0 + frequency / 3.0)
+    signals = {}
+    if servo == "position":
+        displacement = 0.03 * np.fft.rfft(moved)
+    else:
+        push = 0.5 * np.fft.rfft(moved)
+        displacement = (push - noise) / (limb + device)
+        signals["perturbation"] = np.fft.irfft(push, n)[..., None]
+    signals |= {"displacement": np.fft.irfft(displacement, n)[..., None]}
+    signals["force"] = np.fft.irfft(limb * displacement + noise, n)[..., None]
+    labels = {"subject": "A", "task": "PT", "condition": "PT", "repetition": 0, "pulse_level": 0.0}
+    labels |= dict.fromkeys(("pulse_direction", "pulse_onset", "limit_time"), np.nan)
+    trials = {name: [value] * n_trials for name, value in labels.items()} | {"repetition": np.arange(n_trials)}
+    return ap.make_recording(signals, trials, RATE, joint="wrist", servo=servo)
+
+
+@pytest.mark.slow(reason="several records")
+@pytest.mark.parametrize("servo", ["force", "position"])
+@pytest.mark.parametrize(
+    ("lines", "duration", "n_trials"),
+    [
+        ((0.5, 1.0, 1.5, 2.5, 3.5, 5.5, 8.0, 12.0), 20.0, 3),
+        (np.arange(0.5, 15.0, 0.5), 30.0, 2),
+        (np.arange(0.2, 12.0, 0.2), 20.0, 1),
+        (np.arange(0.5, 12.0, 0.5), 60.0, 1),
+        ((2.0,), 12.0, 1),
+    ],
+    ids=["8 lines", "29 lines", "59 lines", "far apart", "a sine"],
+)
+def test_an_input_that_repeats_tells_the_response_at_its_lines(servo, lines, duration, n_trials):
+    held = []
+    for seed in range(3):
+        estimate = ap.response(repeated(servo, lines, duration, n_trials, seed))
+        apart = np.abs(estimate.frequency[:, None] - np.asarray(lines)).min(axis=1)
+        assert apart.max() < 1e-6
+        assert len(estimate.frequency) >= min(len(lines), 20)
+        limb = impedance_of((INERTIA, DAMPING, STIFFNESS), estimate.frequency)
+        true = limb if servo == "position" else 1.0 / limb
+        held.append(estimate.covers(true[:, None, None]).mean())
+        assert np.median(np.abs(estimate.response[:, 0, 0] / true - 1.0)) < 0.15
+        assert "nan" not in estimate.summary()
+    assert np.mean(held) > 0.8
+
+
+def test_responses_of_the_device_are_not_called_those_of_the_limb():
+    recording = repeated("force", (0.5, 1.0, 2.5, 5.5), 12.0, 2)
+    titles = {what: ap.response(recording, what=what).describe().title for what in ("arm", "environment", "total")}
+    assert titles["arm"].startswith("Admittance of A")
+    assert titles["environment"].startswith("Admittance of the manipulator of A")
+    assert titles["total"].startswith("Admittance of limb and manipulator of A")
 
 
 @pytest.mark.slow(reason="identifies many arms")
