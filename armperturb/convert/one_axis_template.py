@@ -20,6 +20,9 @@ from armperturb.convert.units import UNITS
 ROLES: Mapping[str, str] = TABLES["roles_of_one_axis"]
 """Signal to words of names that stand for it, in the order in which they decide."""
 
+MOTOR = {"motor", "mot", "drive", "actuator"}
+"""Words of a force or torque that the device exerts as it is told to."""
+
 LENGTHS, ANGLES = ("m", "mm", "cm"), ("rad", "deg", "mrad")
 """Units that a movement may have, the most usual first."""
 
@@ -46,14 +49,24 @@ def _columns_by_role(columns: Sequence[Column]) -> dict[str, list[Column]]:
     """Signal to the columns that may hold it, in the order of the file."""
     longest = max((len(column.values) for column in columns), default=0)
     roles: dict[str, list[Column]] = {}
+    motors: list[Column] = []
     for column in columns:
         words, _ = column.words()
         stem, axis = axis_of(words)
         role = next((name for name, known in ROLES.items() if {*words, *stem} & {*known.split()}), None)
         if role is None and axis == "x" and stem == ("",):
             role = "displacement"
+        is_motor = bool({*words} & MOTOR)
+        if role is None and is_motor and column.words()[1] in ("", *UNITS["Nm"], *UNITS["N"]):
+            role = "force"
         if role is not None and len(column.values) == longest:
             roles.setdefault(role, []).append(column)
+            if role == "force" and is_motor:
+                motors.append(column)
+    # Beside what is measured, the torque of the motor is what perturbs; alone, it is what is measured.
+    measured = [column for column in roles.get("force", ()) if not any(column is each for each in motors)]
+    if motors and measured and "perturbation" not in roles:
+        roles |= {"perturbation": motors, "force": measured}
     return roles
 
 

@@ -96,10 +96,18 @@ def test_a_perturbation_that_moves_an_environment_means_a_force_servo(tmp_path):
     acceleration = np.gradient(np.gradient(angle, t), t)
     path = tmp_path / "servo.csv"
     load = -torque + 0.02 * acceleration + 0.1 * np.gradient(angle, t) + 5.0 * angle
-    path.write_text(as_text(("t", "disturbance_Nm", "angle_rad", "torque_Nm"), t, load, angle, torque))
+    for name in ("disturbance_Nm", "motor_torque_Nm", "motor_Nm", "tau_motor"):
+        path.write_text(as_text(("t", name, "angle_rad", "wrist_torque_Nm"), t, load, angle, torque))
+        path.with_suffix(".json").unlink(missing_ok=True)
+        sidecar, _ = written(path)
+        assert sidecar["servo"] == "force"
+        assert sidecar["signals"]["perturbation"]["channels"] == {"x": name}
+        assert sidecar["signals"]["force"]["channels"] == {"x": "wrist_torque_Nm"}
+    # What a motor exerts is what is measured where nothing else is.
+    path.write_text(as_text(("t", "angle_rad", "motor_torque_Nm"), t, angle, torque))
+    path.with_suffix(".json").unlink()
     sidecar, _ = written(path)
-    assert sidecar["servo"] == "force"
-    assert {*sidecar["signals"]} == {"perturbation", "displacement", "force"}
+    assert (sidecar["servo"], sidecar["signals"]["force"]["channels"]["x"]) == ("position", "motor_torque_Nm")
     path = tmp_path / "imposed.csv"
     command = np.random.default_rng(1).normal(size=len(t))
     path.write_text(as_text(("t", "command", "angle_rad", "torque_Nm"), t, command, angle, torque))

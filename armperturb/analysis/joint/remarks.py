@@ -12,6 +12,7 @@ from armperturb.analysis.fit.trial_effects import FEW
 from armperturb.analysis.joint.model import Reflex
 from armperturb.analysis.joint.signals import RATE, TOP
 from armperturb.analysis.results import plain
+from armperturb.arrays import Array
 
 if TYPE_CHECKING:
     from armperturb.analysis.joint.identify import JointIdentification
@@ -132,10 +133,16 @@ def _frequencies(result: "JointIdentification") -> int:
     """
     trace = result.trace
     moved = trace.predicted if result.servo == "force" else trace.paths["intrinsic"]
-    tapered = (moved - moved.mean()) * signal.windows.hann(len(moved), sym=False)
+    # Beside a slow movement, what is small and fast shows in the differences.
+    return max(_peaks(moved), _peaks(np.diff(moved)), result.lack_of_fit.dof // 2)
+
+
+def _peaks(values: Array) -> int:
+    """Frequencies at which a signal has power, as far as its spectrum resolves them."""
+    tapered = (values - values.mean()) * signal.windows.hann(len(values), sym=False)
     power = np.abs(fft.rfft(tapered)) ** 2
     count, after = 0, 0
     for line in np.flatnonzero(power > EXCITED_POWER * power.max()):
         if line >= after:
             count, after = count + 1, int(line) + RESOLUTION
-    return max(count, result.lack_of_fit.dof // 2)
+    return count

@@ -111,6 +111,13 @@ def test_a_movement_of_one_frequency_determines_no_parameters():
     assert any("nearly a sine" in remark for remark in sine.remarks)
 
 
+def test_a_slow_movement_hides_no_frequencies_beside_it():
+    moved = trials(TONES)
+    slow = 0.3 * np.sin(2.0 * np.pi * 0.1 * moved["time"].values)[None, :, None]
+    moved = moved.assign(displacement=moved["displacement"] + slow, force=moved["force"] + 70.0 * slow)
+    assert not any("alone" in remark for remark in identify_joint(moved, reflex="none").remarks)
+
+
 @pytest.mark.slow(reason="identifies a joint")
 def test_frequencies_of_several_trials_count_together(result):
     steps = identify_joint(trials((2.03,), (5.03,), (9.03,), (14.03,)), reflex="none")
