@@ -14,30 +14,29 @@ more than noise does, as it does next to a jump, bands count by how much, withou
 (Wiener's estimate). Standard errors are those of an estimating equation (sandwich) over repetitions or stretches.
 """
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
-from scipy import linalg, ndimage
 
 from armperturb.analysis.cuts import inside_limit, one_condition
 from armperturb.analysis.fit.ladder import left_out_loss
 from armperturb.analysis.fit.likelihood_search import SKETCHED, search_from
-from armperturb.analysis.fit.whittle import Normal
 from armperturb.analysis.joint.choice import ScoredStructure, score_of, structures
-from armperturb.analysis.joint.model import DYNAMICS, REFLEXES, JointStructure, Reflex
+from armperturb.analysis.joint.model import REFLEXES, JointStructure, Reflex
 from armperturb.analysis.joint.prediction import explained
 from armperturb.analysis.joint.remarks import cut_short
 from armperturb.analysis.joint.signals import EDGE, TOP, JointSignals, joint_signals, mean_angle
 from armperturb.analysis.joint.torque_likelihood import BlockScore
 from armperturb.analysis.joint_balance import impossible_joint
 from armperturb.analysis.varying.likelihood import STRETCH, VaryingLikelihood
-from armperturb.analysis.varying.model import DEGREE, VaryingModel, finer
-from armperturb.analysis.varying.result import Curve, VaryingEstimate
-from armperturb.arrays import Array, Indices
+from armperturb.analysis.varying.model import VaryingModel, finer
+from armperturb.analysis.varying.result import VaryingEstimate
+from armperturb.analysis.varying.solution import Search, maxima_near, mixed, size_of, together
+from armperturb.analysis.varying.starts import at_dynamics, inverse, search_starts
+from armperturb.arrays import Array
 from armperturb.copied_trials import without_copies
 from armperturb.recording import check_recording, labels_of, named
 from armperturb.validation import require_number, require_one_of, require_whole
@@ -79,48 +78,6 @@ LITTLE = 10.0
 """Share of the torque below which a remark says how little the model explains [%]."""
 
 N_FOLDS = 5
-
-DELAYS, FREQUENCIES = tuple(np.linspace(0.02, 0.18, 9).tolist()), (1.5, 3.0, 6.0)
-"""Delays [s] and natural frequencies [Hz] of the reflex path from which the search may start: from one that is 30 ms
-off, it may end at a gain of the wrong sign."""
-
-
-class _Search:
-    """A likelihood as the search sees it: parameters that are held have no room.
-
-    Args:
-      likelihood: of the trials.
-      values: of all parameters, for their number.
-    """
-
-    def __init__(self, likelihood: VaryingLikelihood, values: Array) -> None:
-        self.likelihood, n = likelihood, len(values)
-        self.lower, self.upper = np.full(n, -np.inf), np.full(n, np.inf)
-        model, first = likelihood.model, likelihood.model.n_linear
-        lower, upper = (
-            dict(zip(model.structure.parameters, bound, strict=True)) for bound in model.structure.bounds(model.signals)
-        )
-        self.lower[first:] = [lower[name] for name in model.dynamics]
-        self.upper[first:] = [upper[name] for name in model.dynamics]
-        self.weigh, self.cost = likelihood.weigh, likelihood.cost
-
-    def pole(self, values: Array) -> float:
-        """The movement is imposed: nothing is unstable."""
-        return -1.0
-
-    def normal(self, values: Array) -> Normal:
-        """Least squares of all parameters."""
-        return self.likelihood.normal(values, np.eye(len(values)))
-
-    def inside(self, values: Array) -> Indices:
-        """Numbers of the parameters that are not at a bound."""
-        return np.flatnonzero((self.lower < values) & (values < self.upper))
-
-
-def _size(influence: Array) -> Array:
-    """Standard error from the influence of independent groups, (group, ...) to (...)."""
-    n = len(influence)
-    return np.asarray(np.sqrt(np.sum(influence**2, axis=0) * n / (n - 1.0)))
 
 
 def identify_varying(
@@ -182,21 +139,15 @@ def identify_varying(
                 f"recording: {place.shape[1] / signals.rate:g} s to fit; expected at least {2 * STRETCH:g} s, of which "
                 "a part is left out in turn"
             )
-        tried.append(_tried(likelihood, min(_starts(likelihood), key=likelihood.cost)))
+        tried.append(_tried(likelihood, min(search_starts(likelihood), key=likelihood.cost)))
     best, chosen, scored = _best(tried, CANDIDATES[variable])
     likelihood = best.likelihood.with_orders({name: finer(n) if name != "static" else n for name, n in chosen.items()})
-    start = _linear(likelihood, best.dynamics)
-    values = search_from(_Search(likelihood, start), start).values
-    solution = _solved(likelihood, values)
     grid = np.linspace(low, high, n_points)
-    curves = {
-        name: _curve(solution, likelihood, name, chosen[name], grid)
-        for name in likelihood.model.orders
-        if name != "static"
-    }
+    maxima = maxima_near(likelihood, best.dynamics, chosen, grid)
+    solution, curves = maxima[0].solution, mixed(maxima)
     model, values = solution.model, solution.values
     dynamics = dict(zip(model.dynamics, map(float, values[model.n_linear :]), strict=True))
-    inside = _Search(likelihood, values).inside(values)
+    inside = Search(likelihood, values).inside(values)
     at_bound = [name for place, name in enumerate(model.dynamics, model.n_linear) if place not in inside]
     if ensemble and "gain" in curves:
         # What the reflex answers to so late acts when the record is over.
@@ -216,7 +167,7 @@ def identify_varying(
         grid=grid,
         curves=curves,
         inertia=float(values[0]),
-        inertia_error=float(_size(solution.influence)[0]),
+        inertia_error=float(size_of(solution.influence)[0]),
         tried=scored,
         dynamics=dynamics,
         vaf=vaf,
@@ -276,30 +227,6 @@ def _recorded(recording: xr.Dataset, ensemble: bool, reference: float) -> tuple[
     return signals, np.broadcast_to(time, signals.angle.shape)
 
 
-def _starts(likelihood: VaryingLikelihood) -> list[Array]:
-    """Values from which a search may start, the noise being as last weighed."""
-    names = likelihood.model.dynamics
-    if not names:
-        return [_linear(likelihood, np.empty(0))]
-    usual = {"reflex_damping_ratio": 0.8}
-    given = [dict(zip(DYNAMICS, each, strict=False)) for each in itertools.product(DELAYS, FREQUENCIES)]
-    return [_linear(likelihood, np.array([(usual | each).get(name, 0.0) for name in names])) for each in given]
-
-
-def _linear(likelihood: VaryingLikelihood, dynamics: Array) -> Array:
-    """Values of all parameters with given delay, dynamics and threshold; the noise is held."""
-    n = likelihood.model.n_linear
-    values = np.concatenate([np.zeros(n), dynamics])
-    normal = likelihood.normal(values, np.eye(len(values))[:, :n])
-    return np.concatenate([_inverse(normal.information) @ normal.slope, dynamics])
-
-
-def _inverse(information: Array) -> Array:
-    """Inverse of an information whose parameters have units of their own; directions it does not tell are zero."""
-    size = np.sqrt(np.where(np.diag(information) > 0.0, np.diag(information), 1.0))
-    return np.asarray(linalg.pinvh(information / np.outer(size, size)) / np.outer(size, size))
-
-
 class _Tried(NamedTuple):
     """A structure that was fitted with given numbers of splines.
 
@@ -325,9 +252,9 @@ class _Tried(NamedTuple):
 
 
 def _tried(likelihood: VaryingLikelihood, start: Array) -> _Tried:
-    values = search_from(_Search(likelihood, start), start, settled=SKETCHED).values
+    values = search_from(Search(likelihood, start), start, settled=SKETCHED).values
     objective = likelihood.objective(values)
-    inside = _Search(likelihood, values).inside(values)
+    inside = Search(likelihood, values).inside(values)
     loss = left_out_loss(_folds(likelihood.scores(values, np.eye(len(values))[:, inside])))
     return _Tried(score_of(likelihood.model.structure, objective, loss), likelihood, values)
 
@@ -345,7 +272,7 @@ def _best(
     def again(each: _Tried) -> _Tried:
         orders = {name: chosen.get(name, n) for name, n in each.likelihood.model.orders.items()}
         likelihood = each.likelihood.with_orders(orders)
-        return _tried(likelihood, _linear(likelihood, each.dynamics))
+        return _tried(likelihood, at_dynamics(likelihood, each.dynamics))
 
     several = len({each.structure.reflex for each in tried}) > 1
     scored = [ScoredStructure(each.structure, each.score) for each in (map(again, tried) if several else tried)]
@@ -371,7 +298,7 @@ def _chosen(best: _Tried, candidates: tuple[int, ...]) -> dict[str, int]:
             groups = tried.scores(nothing, np.eye(len(nothing))[:, :n])
             folds = _folds(groups)
             slope, information = (np.sum(each, axis=0) for each in zip(*folds, strict=True))
-            weights = _inverse(information) @ slope
+            weights = inverse(information) @ slope
             left = [BlockScore(fold.score - fold.information @ weights, fold.information) for fold in folds]
             scores[key] = float(-weights @ slope) + left_out_loss(left)
         return scores[key]
@@ -385,65 +312,4 @@ def _chosen(best: _Tried, candidates: tuple[int, ...]) -> dict[str, int]:
 
 def _folds(groups: list[BlockScore]) -> list[BlockScore]:
     """Parts that are left out in turn."""
-    return [_together(groups[first::N_FOLDS]) for first in range(min(N_FOLDS, len(groups)))]
-
-
-def _together(groups: list[BlockScore]) -> BlockScore:
-    return BlockScore(*(np.sum(each, axis=0) for each in zip(*groups, strict=True)))
-
-
-class _Solution(NamedTuple):
-    """Estimates and what is known of their errors.
-
-    Attributes:
-      model: with its numbers of splines.
-      values: of all parameters, (parameter,).
-      influence: of each repetition or stretch on them, (group, parameter); the sum over groups is zero.
-    """
-
-    model: VaryingModel
-    values: Array
-    influence: Array
-
-    def curve(self, quantity: str, grid: Array) -> tuple[Array, Array]:
-        """A quantity on a grid, (point,), and the influence of each group on it, (group, point)."""
-        basis, part = self.model.basis(quantity, grid), self.model.part(quantity)
-        return self.values[part] @ basis, self.influence[:, part] @ basis
-
-
-def _solved(likelihood: VaryingLikelihood, values: Array) -> _Solution:
-    """One step from near the estimate, and how much each group has to do with where it leads; the noise is held."""
-    inside = _Search(likelihood, values).inside(values)
-    groups = likelihood.scores(values, np.eye(len(values))[:, inside])
-    slope, information = _together(groups)
-    inverse = _inverse(information)
-    step = inverse @ slope
-    influence = np.zeros((len(groups), len(values)))
-    influence[:, inside] = [inverse @ (group.score - group.information @ step) for group in groups]
-    solution = values.copy()
-    solution[inside] += step
-    return _Solution(likelihood.model, solution, influence)
-
-
-def _curve(solution: _Solution, likelihood: VaryingLikelihood, quantity: str, n_chosen: int, grid: Array) -> Curve:
-    """A quantity over the grid; its band counts how much further than noise splines of twice the distance lead.
-
-    Where the variable has no values, as between two postures, nothing is known, and the standard error is infinite.
-    """
-    coarse = likelihood.with_orders({**solution.model.orders, quantity: n_chosen})
-    before = _solved(coarse, _linear(coarse, solution.values[solution.model.n_linear :]))
-    (value, influence), (other, of_other) = (each.curve(quantity, grid) for each in (solution, before))
-    moved, noise = (_over_knots(each, n_chosen) for each in ((value - other) ** 2, _size(influence - of_other) ** 2))
-    beyond = np.maximum(moved - noise, 0.0)
-    bias = beyond * (beyond / np.maximum(moved, np.finfo(float).tiny))
-    error = np.sqrt(_size(influence) ** 2 + bias)
-    model = solution.model
-    reached = model.basis(quantity, np.unique(model.variable[:, model.signals.used])).any(axis=1)
-    error[model.basis(quantity, grid)[~reached].any(axis=0)] = np.inf  # of splines without data nothing is known
-    return Curve(value, error, model.orders[quantity])
-
-
-def _over_knots(squares: Array, n_basis: int) -> Array:
-    """Means over twice the distance of knots, (point,): two of the splines that halving it adds."""
-    width = min(round(2.0 * len(squares) / max(n_basis - DEGREE, 1)), 2 * len(squares))
-    return np.asarray(ndimage.uniform_filter1d(squares, max(width, 1), mode="reflect"))
+    return [together(groups[first::N_FOLDS]) for first in range(min(N_FOLDS, len(groups)))]
