@@ -45,6 +45,9 @@ class Response(Command):
     """Start of what is used [s]; by default 2 for multisine, 8 for spectral, and 0 for the other methods."""
     period: float | None = None
     """Period of a multisine [s]; by default it is found from the data."""
+    lines_per_average: int | None = None
+    """Of the methods multisine and spectral: adjacent lines that share a point; by default 4. Lines that are far apart
+    have 1."""
     overwrite: bool = False
     """Replace results of an earlier run in the folder; an input is never replaced."""
 
@@ -57,8 +60,10 @@ class Response(Command):
         from armperturb.commands.selection import MemoryPerSample, select_trials
         from armperturb.recording import is_one_axis
 
-        if self.period is not None and self.method not in (None, "multisine", "spectral"):
-            raise ValueError(f"response: period = {self.period:g}; expected none with the method {self.method}")
+        of_lines = {"period": self.period, "lines_per_average": self.lines_per_average}
+        for name, value in of_lines.items():
+            if value is not None and self.method not in (None, "multisine", "spectral"):
+                raise ValueError(f"response: {name} = {value:g}; expected none with the method {self.method}")
         recordings, lines = select_trials(
             self.recordings, self.sidecar, self.subject, self.condition, single_condition=True
         )
@@ -66,7 +71,7 @@ class Response(Command):
         if is_one_axis(recordings[0]):
             return [*lines, *self._of_one_axis(recordings), f"results: {self.out}"]
         method = "multisine" if self.method is None else self.method
-        options: dict[str, Any] = {"window_start": self.window_start, "period": self.period}
+        options: dict[str, Any] = {"window_start": self.window_start, **of_lines}
         options = {name: value for name, value in options.items() if value is not None}
         distortion = None
         try:
@@ -94,8 +99,9 @@ class Response(Command):
     def _of_one_axis(self, recordings: "list[xr.Dataset]") -> list[str]:
         from armperturb.analysis.response.estimate import response
 
-        if self.period is not None:
-            raise ValueError(f"response: period = {self.period:g}; expected none of one axis")
+        for name, value in {"period": self.period, "lines_per_average": self.lines_per_average}.items():
+            if value is not None:
+                raise ValueError(f"response: {name} = {value:g}; expected none of one axis")
         try:
             estimate = response(recordings, self.method, what=self.what, window_start=self.window_start or 0.0)
         except ValueError as error:

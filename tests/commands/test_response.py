@@ -61,6 +61,21 @@ def test_multisines_give_tables_figures_and_the_distortion(folder, tmp_path, cap
 
 @pytest.mark.slow(reason="estimates from long records")
 @pytest.mark.usefixtures("blank_pictures")
+def test_fewer_lines_share_a_point_if_asked(folder, tmp_path, capsys):
+    counts = []
+    for lines in (2, 4):
+        out = tmp_path / str(lines)
+        assert run("response", folder / "multisine.nc", "--lines-per-average", lines, "--out", out) == 0
+        counts.append(len(rows(out / "response.csv")))
+    assert counts[0] > 1.5 * counts[1]
+    line = refused(
+        capsys, "response", folder / "noise.nc", "--method", "noise", "--lines-per-average", 2, "--out", tmp_path / "no"
+    )
+    assert "lines_per_average = 2; expected none with the method noise" in line
+
+
+@pytest.mark.slow(reason="estimates from long records")
+@pytest.mark.usefixtures("blank_pictures")
 def test_records_of_unequal_length_in_other_formats(folder, tmp_path):
     from armperturb.recording_files import load_recording
 

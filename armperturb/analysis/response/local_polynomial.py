@@ -129,7 +129,7 @@ class DependentDisturbancesError(ValueError):
     """
 
     def __init__(self, frequency: float, are_proportional: bool) -> None:
-        more_lines = "" if are_proportional else ", or more lines per average"
+        more_lines = "" if are_proportional else ", more lines per average of multisines, or the method arx"
         super().__init__(
             f"the disturbances along x and y are not independent at {frequency:.3f} Hz; expected independent "
             "disturbances (other realisations, one trial for each direction, or the sign of y turned in half of the "
