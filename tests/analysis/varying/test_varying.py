@@ -11,7 +11,11 @@ from scipy.interpolate import CubicSpline
 from armperturb.analysis.joint.model import JointStructure, ReflexPath, drive_of
 from armperturb.analysis.joint.signals import joint_signals
 from armperturb.analysis.varying.estimate import identify_varying
+from armperturb.analysis.varying.likelihood import VaryingLikelihood
 from armperturb.analysis.varying.model import VaryingModel, finer, splines
+from armperturb.analysis.varying.result import Curve
+from armperturb.analysis.varying.solution import Maximum, mixed
+from armperturb.analysis.varying.starts import THRESHOLDS, search_starts
 from armperturb.perturbations.one_axis import random_steps
 from armperturb.recording import make_recording
 
@@ -163,6 +167,34 @@ def test_left_out_repetitions_choose_the_reflex_path(kind):
         assert estimate.dynamics["reflex_delay"] == pytest.approx(0.04, abs=0.001)
     if kind == "half-wave":
         assert estimate.structure.side == -1
+
+
+def test_maxima_that_trials_do_not_tell_apart_count_together():
+    curves = [
+        {"gain": Curve(np.array([value, 1.0]), np.array([error, 0.2]), 4)} for value, error in ((2.0, 0.1), (3.0, 0.5))
+    ]
+    alike = [Maximum(7.0, None, each, (0.0, 0.1)) for each in curves]
+    gain = mixed(alike)["gain"]
+    np.testing.assert_allclose(gain.value, [2.5, 1.0])
+    np.testing.assert_allclose(gain.standard_error, [np.sqrt(0.5 * (0.1**2 + 0.5**2) + 0.25), 0.2])
+    apart = [alike[0], alike[1]._replace(evidence=27.0)]
+    np.testing.assert_allclose(mixed(apart)["gain"].value, [2.0, 1.0], atol=1e-4)
+    np.testing.assert_allclose(mixed(apart)["gain"].standard_error, [0.1, 0.2], atol=1e-3)
+
+
+def test_searches_of_a_half_wave_start_at_several_thresholds():
+    angle, torque = measured(100.0, 4, 4.0, 0.02)
+    signals = joint_signals(recorded(angle, torque + reflex_torque(angle, "half-wave")))
+    time = np.broadcast_to(np.arange(signals.angle.shape[1]) / signals.rate, signals.angle.shape)
+    for reflex, thresholds in (("half-wave", 3), ("linear", 1)):
+        structure = JointStructure(reflex=reflex, side=-1) if reflex == "half-wave" else JointStructure(reflex=reflex)
+        orders = {"stiffness": 1, "damping": 1, "gain": 1}
+        model = VaryingModel(structure=structure, signals=signals, variable=time, orders=orders, low=0.0, high=4.0)
+        starts = search_starts(VaryingLikelihood(model, ensemble=True))
+        if thresholds > 1:
+            tried = np.array(starts)[:, -1] / signals.velocity_scale
+            np.testing.assert_allclose(np.unique(tried.round(9)), THRESHOLDS)
+        assert all(np.isfinite(start).all() for start in starts)
 
 
 @pytest.mark.slow(reason="estimates an ensemble twice")
