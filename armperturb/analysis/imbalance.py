@@ -58,6 +58,9 @@ LEAST_DELAY = 2e-4
 MOST = 0.5
 """Share of what the balance leaves that must be explained, unless by a delay [-]."""
 
+SIMPLER, FURTHER = ("gain", "gains", "rotation"), 0.02
+"""What crosstalk has in it, and the share of what the balance leaves that it must explain beyond these [-]."""
+
 NAMED = 0.1
 """Share of what a load explains from which on its mass, damping or stiffness is named [-]."""
 
@@ -172,7 +175,7 @@ def _imbalance(spectra: Spectra) -> Imbalance | None:
     n_more = {kind: len(terms) - len(_LOAD) for kind, (_, terms) in _LINEAR.items()} | dict.fromkeys(_DELAYED, 1)
     explained = {kind: before - float(_least_squares(summed, *of_kind)[1]) for kind, of_kind in _LINEAR.items()}
     explained |= {kind: before - _Delayed(spectra, place, weight).nearest()[1] for kind, place in _DELAYED.items()}
-    best, ratio, most = None, 0.0, max(explained.values())
+    best, simpler, ratio, most = None, None, 0.0, max(explained.values())
     for kind, by_kind in explained.items():
         # With the noise of none the right one explains nearly as much as with its own.
         by_chance = 0.5 * spectra.shorter * float(stats.chi2.isf(CHANCE, n_more[kind]))
@@ -181,9 +184,13 @@ def _imbalance(spectra: Spectra) -> Imbalance | None:
         candidate, fit = _linear(spectra, kind, none) if kind in _LINEAR else _late(spectra, kind, weight)
         by_noise = spectra.counts / fit.density
         candidate = candidate._replace(share=1.0 - float(by_noise @ fit.power) / float(by_noise @ none.power))
+        if kind in SIMPLER and candidate.share > (simpler.share if simpler else 0.0):
+            simpler = candidate
         better = 2.0 * (none.objective - fit.objective) / spectra.shorter - PER_TERM * n_more[kind]
         if better > ratio:
             best, ratio = candidate, better
+    if best is not None and best.kind == "crosstalk" and simpler and simpler.share > best.share - FURTHER:
+        best = simpler
     if best is not None and best.kind in _DELAYED and abs(best.delay) > max(LEAST_DELAY, 3.0 * best.standard_error):
         return _explained(best)
     if best is not None and best.share > MOST:
@@ -358,8 +365,8 @@ def _linear(spectra: Spectra, kind: Kind, none: _Fit) -> tuple[Imbalance, _Fit]:
         (x, of_y), (of_x, y) = recorded_as.tolist()
         shares = [f"{round(100.0 * share, 1) + 0.0:g} %" for share in (of_y, of_x)]
         text = f"force along x appears to hold {shares[0]} of that along y, and y {shares[1]} of x"
-        if max(abs(x - 1.0), abs(y - 1.0)) > LEAST_BIAS:
-            text += f", and to be {_too_large(x)} in x and {_too_large(y)} in y"
+        if gains := [f"{_too_large(g)} in {name}" for name, g in (("x", x), ("y", y)) if abs(g - 1.0) > LEAST_BIAS]:
+            text += f", and to be {' and '.join(gains)}"
         bias = float(np.linalg.norm(recorded_as - np.eye(2), 2))
         return Imbalance(kind, f"{text} ({_REASONS[kind]})", 0.0, bias), fit
     if kind == "gains":
