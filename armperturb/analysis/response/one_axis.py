@@ -111,7 +111,7 @@ class AxisResponse(FrequencyResponse):
                 f"{plain(gain[k], 3)} +/- {plain(radius[k], 2)}",
                 f"{phase[k]:.0f}",
                 f"{self.coherence[k]:.3f}",
-                "-" if math.isnan(self.distortion[k]) else f"{self.distortion[k]:.1%}",
+                "-" if math.isnan(self.distortion[k]) else f"{max(self.distortion[k], 0.0):.1%}",
             )
             for k in range(len(self.frequency))
         )
