@@ -58,8 +58,9 @@ LEAST_DELAY = 2e-4
 MOST = 0.5
 """Share of what the balance leaves that must be explained, unless by a delay [-]."""
 
-SIMPLER, FURTHER = ("gain", "gains", "rotation"), 0.02
-"""What crosstalk has in it, and the share of what the balance leaves that it must explain beyond these [-]."""
+SIMPLER, FURTHER, CLEAR, LARGEST_LEAK = ("gain", "gains", "rotation"), 0.02, 0.9, 0.5
+"""What crosstalk has in it; share of what the balance leaves that it must explain beyond these, and in all; and the
+largest error of the force's matrix that is called so [-]."""
 
 NAMED = 0.1
 """Share of what a load explains from which on its mass, damping or stiffness is named [-]."""
@@ -184,6 +185,8 @@ def _imbalance(spectra: Spectra) -> Imbalance | None:
         candidate, fit = _linear(spectra, kind, none) if kind in _LINEAR else _late(spectra, kind, weight)
         by_noise = spectra.counts / fit.density
         candidate = candidate._replace(share=1.0 - float(by_noise @ fit.power) / float(by_noise @ none.power))
+        if kind == "crosstalk" and (candidate.bias > LARGEST_LEAK or candidate.share < CLEAR):
+            continue  # other axes, or what leaks in another signal
         if kind in SIMPLER and candidate.share > (simpler.share if simpler else 0.0):
             simpler = candidate
         better = 2.0 * (none.objective - fit.objective) / spectra.shorter - PER_TERM * n_more[kind]

@@ -56,8 +56,11 @@ def _columns_by_role(columns: Sequence[Column]) -> dict[str, list[Column]]:
         role = next((name for name, known in ROLES.items() if {*words, *stem} & {*known.split()}), None)
         if role is None and axis == "x" and stem == ("",):
             role = "displacement"
-        is_motor = bool({*words} & MOTOR)
-        if role is None and is_motor and column.words()[1] in ("", *UNITS["Nm"], *UNITS["N"]):
+        is_torque = column.words()[1] in (*UNITS["Nm"], *UNITS["N"]) or bool(
+            {*words} & {"tau", *ROLES["force"].split()}
+        )
+        is_motor = is_torque and bool({*words} & MOTOR)
+        if role is None and is_motor:
             role = "force"
         if role is not None and len(column.values) == longest:
             roles.setdefault(role, []).append(column)
@@ -89,6 +92,8 @@ def one_axis_fields(path: Path, columns: Sequence[Column], guessed: dict[str, st
         column, *others = roles[name]
         field, unit = f"signals.{name}", ours.get(name, "Nm" if angular else "N")
         signal: dict[str, Any] = {"channels": {"x": column.channel}, "unit": column.words()[1]}
+        if name == "perturbation" and {*column.words()[0]} & MOTOR:
+            guessed[f"{field}.channels.x"] = "what the motor exerts; no perturbation where it holds a position (servo)"
         if others:
             rest = ", ".join(other.channel for other in others)
             guessed[f"{field}.channels.x"] = f"one axis is taken; or {rest}, or two axes in place of servo"[:190]

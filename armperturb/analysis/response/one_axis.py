@@ -12,9 +12,9 @@ coherence like noise.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -206,7 +206,8 @@ def one_axis_response(
       frequency: where the response is wanted [Hz], (frequency,); None takes up to 40 of those that are excited, and
         of an input that repeats its lines.
       window_start: start of what is used [s].
-      order: of the response's polynomial; by default 2, or up to 5 where that fits clearly better.
+      order: of the response's polynomial; by default 2, or up to 5 where that fits clearly better; 0 at a line that is
+        taken alone.
 
     Raises:
       ValueError: a recording is not of one axis, what is not there on a position servo, a signal is constant or has
@@ -241,15 +242,17 @@ def one_axis_response(
                 fits.append(fit_locally(windows, centre, order=0, leakage_order=LEAKAGE_ORDER))
             else:
                 windows = lines_around(spectra, centre, orders[0])
-                fits.append(_as_bent(partial(_near, windows, centre, orders), orders[0], order is None))
+                is_line = order is None and bool((np.abs(repeated - centre) <= SAME_LINE * centre).any())
+                fits.append(_nearby(windows, centre, orders, is_line=is_line))
             lines = np.concatenate([window.perturbation for window in windows])
             power.append(float(np.mean(np.abs(lines) ** 2)))
         distortion, limit, p_linear = _distortion(records, spectra, wanted, fits, imposed=imposed)
     except DependentDisturbancesError as error:
+        wanted_are = "its lines, as without frequency" if len(repeated) else "a band of frequencies, as of random steps"
         raise ValueError(
             f"response: the {'movement' if imposed else 'perturbation'} has power at too few frequencies near "
-            f"{error.frequency:.3f} Hz; expected a band of frequencies, as of random steps or noise (a response at "
-            "single tones cannot be separated from transients)"
+            f"{error.frequency:.3f} Hz; expected {wanted_are} (between single tones no response can be separated from "
+            "transients)"
         ) from None
     joint, noise = np.array([fit.answer for fit in fits]), np.array([fit.noise for fit in fits])
     spread, errors = np.array([fit.factor for fit in fits]), [fit.by_trial for fit in fits]
@@ -322,28 +325,23 @@ def _alone(spectra: Sequence[Window], centre: float, lines: Array) -> list[Windo
     return used if used and is_enough and all(len(each.frequency) > LEAKAGE_ORDER + 1 for each in used) else []
 
 
-def _near(windows: Sequence[Window], centre: float, orders: tuple[int, ...], order: int) -> LocalFit:
-    """The fit of these orders, or of a lower one."""
-    return fit_near(windows, centre, orders if order == orders[0] else (order,))
-
-
-def _as_bent(fit: Callable[[int], LocalFit], order: int, may_be_lower: bool) -> LocalFit:
-    """A fit of the highest order that the lines with power in a window determine: of a single one, a constant.
+def _nearby(windows: Sequence[Window], centre: float, orders: tuple[int, ...], *, is_line: bool) -> LocalFit:
+    """The fit of these orders; at a line also of a lower one, where the lines in the window determine no more.
 
     Args:
-      fit: of an order.
-      order: the highest.
-      may_be_lower: whether another is allowed.
+      windows: around the line.
+      centre: [Hz].
+      orders: of the response's polynomial.
+      is_line: whether the input, which repeats, has power there.
 
     Raises:
       DependentDisturbancesError: none is determined.
     """
-    try:
-        return fit(order)
-    except DependentDisturbancesError:
-        if not may_be_lower or order == 0:
-            raise
-    return _as_bent(fit, order - 1, may_be_lower)
+    lower = [orders[:1], *((order,) for order in range(orders[0] - 1, -1, -1))] if is_line else []
+    for each in (orders, *lower[:-1]):
+        with suppress(DependentDisturbancesError):
+            return fit_near(windows, centre, each)
+    return fit_near(windows, centre, lower[-1] if lower else orders)
 
 
 def _lines(records: Sequence[TrialRecord], *, imposed: bool) -> Array:

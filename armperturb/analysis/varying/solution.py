@@ -21,6 +21,9 @@ from armperturb.analysis.varying.result import Curve
 from armperturb.analysis.varying.starts import at_dynamics, inverse, other_thresholds
 from armperturb.arrays import Array, Indices
 
+LESS_LIKELY = 10.0
+"""Minus twice the log-likelihood beyond the least, from which on a maximum does not count [-]."""
+
 
 class Search:
     """A likelihood as the search sees it: parameters that are held have no room.
@@ -120,13 +123,13 @@ class Maximum(NamedTuple):
     """A maximum of the likelihood.
 
     Attributes:
-      evidence: minus twice the logarithm of the probability of the data around it (Laplace), but for what all share.
+      objective: minus twice the log-likelihood, up to what all share.
       solution: parameters and their errors.
       curves: quantity to its curve.
       threshold: of the reflex, and its standard error; NaN without one.
     """
 
-    evidence: float
+    objective: float
     solution: Solution
     curves: dict[str, Curve]
     threshold: tuple[float, float]
@@ -135,7 +138,9 @@ class Maximum(NamedTuple):
 def maxima_near(
     likelihood: VaryingLikelihood, dynamics: Array, chosen: Mapping[str, int], grid: Array
 ) -> list[Maximum]:
-    """Maxima of the likelihood at several thresholds, the most probable first; a single one without a threshold.
+    """Maxima of the likelihood at several thresholds that are nearly as likely, the most likely first.
+
+    There is a single one without a threshold.
 
     Args:
       likelihood: of the structure.
@@ -151,7 +156,7 @@ def maxima_near(
         place = len(values) - 1
         error = math.sqrt(inverse(information)[-1, -1]) if place in inside else 0.0
         threshold = (float(values[place]), error) if THRESHOLD in likelihood.model.dynamics else (math.nan, math.nan)
-        if any(abs(threshold[0] - each.threshold[0]) < max(error, each.threshold[1]) for each in maxima):
+        if any(abs(threshold[0] - each.threshold[0]) <= max(error, each.threshold[1]) for each in maxima):
             continue  # the same one
         solution = solved(likelihood, values)
         curves = {
@@ -159,19 +164,18 @@ def maxima_near(
             for name in likelihood.model.orders
             if name != "static"
         }
-        volume = float(np.linalg.slogdet(information)[1])
-        evidence = likelihood.objective(values) + (volume if math.isfinite(volume) else 0.0)
-        maxima.append(Maximum(evidence, solution, curves, threshold))
-    return sorted(maxima, key=lambda each: each.evidence)
+        maxima.append(Maximum(likelihood.objective(values), solution, curves, threshold))
+    lowest = min(each.objective for each in maxima)
+    return sorted((each for each in maxima if each.objective < lowest + LESS_LIKELY), key=lambda each: each.objective)
 
 
 def mixed(maxima: Sequence[Maximum]) -> dict[str, Curve]:
-    """Curves over all maxima, each as probable as the data around it: what they differ by is part of the error.
+    """Curves over all maxima, each by its likelihood: what they differ by is part of the error.
 
     Args:
-      maxima: the most probable first.
+      maxima: the most likely first.
     """
-    weights = np.exp(-0.5 * (np.array([each.evidence for each in maxima]) - maxima[0].evidence))
+    weights = np.exp(-0.5 * (np.array([each.objective for each in maxima]) - maxima[0].objective))
     weights /= weights.sum()
     curves = {}
     for name, first in maxima[0].curves.items():

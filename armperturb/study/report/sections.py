@@ -188,7 +188,7 @@ ALIKE = 0.15
 def _of_amplitude(study: StudyResult) -> bool:
     """Whether conditions that are compared differ in the amplitude of their movement."""
     of_tasks = [perturbed_conditions(study, task) for task in TASKS]
-    compared = [conditions for conditions in of_tasks if len(conditions) > 1]
+    compared = [conditions for conditions in of_tasks if sum(each.has_multisine for each in conditions) > 1]
     return bool(compared) and all(differ_in_amplitude(conditions) for conditions in compared)
 
 
@@ -244,7 +244,7 @@ def of_people(study: StudyResult, counts: Mapping[str, int]) -> str:
     whole = f"{n_people} {'person' if n_people == 1 else 'people'}"
     if all(count == n_people for count in counts.values()):
         return whole
-    if len(set(counts.values())) == 1:
+    if len(counts) == 1:
         return f"{next(iter(counts.values()))} of {whole}"
     return f"{whole} ({', '.join(f'{count} in {name}' for name, count in counts.items())})"
 

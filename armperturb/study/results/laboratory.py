@@ -16,7 +16,8 @@ from armperturb.study.results.recordings import with_pulse_labels
 from armperturb.subject import TASKS
 
 FAINT = 0.005
-"""SD of the force before a pulse over its whole range [-], up to which it is noise of the instrument."""
+"""SD of the force before a pulse over the range of a recording's perturbation [-], up to which it is noise of the
+instrument."""
 
 STILL = 1e-6
 """RMS displacement that stands for a handle that does not move [m], as a multisine has to move it."""
@@ -40,8 +41,13 @@ class _Seen:
     unlabelled: bool = False
     movements: list[float] = field(default_factory=list)
 
-    def add(self, trial: xr.Dataset, path: Path) -> None:
+    def add(self, trial: xr.Dataset, path: Path, largest: float) -> None:
         """Count a trial, as recorded.
+
+        Args:
+          trial: alone.
+          path: of its recording.
+          largest: range of the perturbation over all trials of that recording [N].
 
         Raises:
           ValueError: its task is not that of the condition.
@@ -62,7 +68,7 @@ class _Seen:
             self.unlabelled |= not (known and np.isfinite(direction))
         end = round(onset * float(trial.attrs["rate"])) if has_pulse else trial.sizes["time"]
         force = trial["perturbation"].values
-        if end > 0 and force[:end].std(axis=0).max() > FAINT * np.ptp(force, axis=0).max():
+        if end > 0 and force[:end].std(axis=0).max() > FAINT * largest:
             self.movements.append(float(np.mean(trial["displacement"].values[:end] ** 2)))
 
     def pulse_levels(self, known: Condition) -> tuple[float, ...]:
@@ -98,8 +104,9 @@ def recorded_protocol(root: Path, paths: Sequence[Path], missing: list[str]) -> 
     directions = set[float]()
     for path in paths:
         recording = load_recording(path, [])
+        largest = float(np.ptp(recording["perturbation"].values, axis=1).max(initial=0.0))
         for trial, name in enumerate(recording["condition"].values.tolist()):
-            seen.setdefault(name, _Seen()).add(recording.isel(trial=trial), path)
+            seen.setdefault(name, _Seen()).add(recording.isel(trial=trial), path, largest)
         pulsed = with_pulse_labels(recording)["pulse_direction"].values[np.isfinite(recording["pulse_onset"].values)]
         directions.update(round(float(each), 1) % 360.0 for each in pulsed[np.isfinite(pulsed)])
     of_thesis = [condition for condition in THESIS.conditions if condition.name in seen]

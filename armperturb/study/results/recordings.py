@@ -1,5 +1,6 @@
 """Recordings of a study's people, as its analysis reads them."""
 
+import math
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -14,6 +15,9 @@ PULSE_LASTS = 0.3
 
 FAINT = 0.01
 """Share of its peak up to which the force of a pulse counts as over [-]."""
+
+NOISE, LONGEST = 2.0, 1.5
+"""Largest force before a pulse counts so many times as noise [-], and the pulse is over after so long [s]."""
 
 ROUNDED_TO = 5.0
 """Steps of directions that are taken from the force [deg], as a multisine beside the pulse turns them a little."""
@@ -60,11 +64,13 @@ def with_pulse_labels(recording: xr.Dataset) -> xr.Dataset:
 
 
 def pulse_width(recording: xr.Dataset) -> float:
-    """How long the force of a pulse that comes alone lasts from its onset, to the next sample [s].
+    """How long the force of a pulse that comes alone lasts from its onset, to the next sample [s]; NaN without force.
 
     Args:
       recording: one trial with a pulse.
     """
     onset, rate = int(onset_samples(recording)[0]), float(recording.attrs["rate"])
-    size = np.hypot(*recording["perturbation"].values[0, onset:].T)
-    return float((np.flatnonzero(size > FAINT * size.max())[-1] + 1) / rate)
+    size = np.hypot(*recording["perturbation"].values[0].T)
+    noise, after = NOISE * float(size[:onset].max(initial=0.0)), size[onset : onset + round(LONGEST * rate)]
+    above = np.flatnonzero(after > max(FAINT * after.max(initial=0.0), noise))
+    return float((above[-1] + 1) / rate) if len(above) else math.nan

@@ -177,7 +177,7 @@ def test_maxima_that_trials_do_not_tell_apart_count_together():
     gain = mixed(alike)["gain"]
     np.testing.assert_allclose(gain.value, [2.5, 1.0])
     np.testing.assert_allclose(gain.standard_error, [np.sqrt(0.5 * (0.1**2 + 0.5**2) + 0.25), 0.2])
-    apart = [alike[0], alike[1]._replace(evidence=27.0)]
+    apart = [alike[0], alike[1]._replace(objective=27.0)]
     np.testing.assert_allclose(mixed(apart)["gain"].value, [2.0, 1.0], atol=1e-4)
     np.testing.assert_allclose(mixed(apart)["gain"].standard_error, [0.1, 0.2], atol=1e-3)
 

@@ -97,7 +97,8 @@ def test_findings_of_some_people_say_of_how_many(study):
 
 def test_means_of_some_people_say_of_how_many(study):
     assert of_people(study, {"PT7.5": 3, "RT7.5": 3}) == of_people(study, {}) == "3 people"
-    assert of_people(study, {"PT7.5": 2, "RT7.5": 2}) == "2 of 3 people"
+    assert of_people(study, {"PT7.5": 2}) == "2 of 3 people"
+    assert of_people(study, {"PT7.5": 2, "RT7.5": 2}) == "3 people (2 in PT7.5, 2 in RT7.5)"  # who may be others
     assert of_people(study, {"PT7.5": 3, "RT7.5": 1}) == "3 people (3 in PT7.5, 1 in RT7.5)"
 
 

@@ -1,5 +1,6 @@
 """Which figures a study allows."""
 
+import math
 from dataclasses import replace
 from functools import partial
 
@@ -29,7 +30,7 @@ from armperturb.study.report.nonlinear_tables import left_out_pulses, tasks_fitt
 from armperturb.study.results.appendix_fits import Appendices
 from armperturb.study.results.mean_admittance import by_task, main_conditions
 from armperturb.study.results.nonlinear_fits import drawn_pulse
-from armperturb.study.results.recordings import load_trials
+from armperturb.study.results.recordings import load_trials, pulse_width
 from armperturb.study.results.study_result import StudyResult
 from armperturb.subject import TASKS
 
@@ -136,6 +137,8 @@ def _of_pulses(study: StudyResult) -> Drawings:
         if not pulses:
             continue
         trial = trials.isel(trial=[next(iter(pulses.values()))])
+        if math.isnan(pulse_width(trial)):
+            continue
         drawn.setdefault("pulse_signal", partial(perturbation_figures.pulse_signal, trial, is_known=is_known))
         if all(_within_reach(around_pulse(trials, number)) for number in pulses.values()):
             drawn.setdefault("joint_rotations", partial(trajectory_figures.joint_rotations, trials, is_known=is_known))
