@@ -3,8 +3,7 @@
 Noise of the instruments is all that d - f - E^-1 x may hold, whatever the person does. Where more is left, one of these
 may put it right, each of which is fitted together with mass, damping and stiffness to all three signals:
 
-- another gain of the force, one or one per axis: a badly calibrated gauge;
-- a share of the force along one axis in the channel of the other: crosstalk of a sensor;
+- another gain of the force, one or one per axis, or a share of one axis in the other: a badly calibrated sensor;
 - a force, displacement or perturbation that is turned: a sensor mounted at an angle, or axes of another frame;
 - mass, damping or stiffness that differ between the axes, or couple them;
 - a delay of the force, of the displacement or of the perturbation against the other two.
@@ -59,8 +58,7 @@ MOST = 0.5
 """Share of what the balance leaves that must be explained, unless by a delay [-]."""
 
 SIMPLER, FURTHER, CLEAR, LARGEST_LEAK = ("gain", "gains", "rotation"), 0.02, 0.9, 0.5
-"""What crosstalk has in it; share of what the balance leaves that it must explain beyond these, and in all; and the
-largest error of the force's matrix that is called so [-]."""
+"""What crosstalk has in it, the shares that it must explain beyond these and in all, and its largest error [-]."""
 
 NAMED = 0.1
 """Share of what a load explains from which on its mass, damping or stiffness is named [-]."""
@@ -192,7 +190,7 @@ def _imbalance(spectra: Spectra) -> Imbalance | None:
         better = 2.0 * (none.objective - fit.objective) / spectra.shorter - PER_TERM * n_more[kind]
         if better > ratio:
             best, ratio = candidate, better
-    if best is not None and best.kind == "crosstalk" and simpler and simpler.share > best.share - FURTHER:
+    if best and best.kind == "crosstalk" and simpler and simpler.share > best.share - FURTHER:
         best = simpler
     if best is not None and best.kind in _DELAYED and abs(best.delay) > max(LEAST_DELAY, 3.0 * best.standard_error):
         return _explained(best)

@@ -51,14 +51,12 @@ def _columns_by_role(columns: Sequence[Column]) -> dict[str, list[Column]]:
     roles: dict[str, list[Column]] = {}
     motors: list[Column] = []
     for column in columns:
-        words, _ = column.words()
+        words, unit = column.words()
         stem, axis = axis_of(words)
         role = next((name for name, known in ROLES.items() if {*words, *stem} & {*known.split()}), None)
         if role is None and axis == "x" and stem == ("",):
             role = "displacement"
-        is_torque = column.words()[1] in (*UNITS["Nm"], *UNITS["N"]) or bool(
-            {*words} & {"tau", *ROLES["force"].split()}
-        )
+        is_torque = unit in (*UNITS["Nm"], *UNITS["N"]) or bool({*words} & {"tau", *ROLES["force"].split()})
         is_motor = is_torque and bool({*words} & MOTOR)
         if role is None and is_motor:
             role = "force"

@@ -36,6 +36,7 @@ from armperturb.study.report.figures.axes import STARS
 from armperturb.study.report.figures.catalogue import drawings
 from armperturb.study.report.figures.people import PERSON, draw_people, fit_labels, with_margins
 from armperturb.study.report.findings import excess_rows
+from armperturb.study.results.recordings import pulse_width
 from armperturb.subject import POSITION, RELAX
 
 RATE = 200.0
@@ -501,6 +502,9 @@ def test_a_pulse_of_a_laboratory_is_as_long_as_it_was():
     assert texts(zoom) == ["200 ms"]
     assert zoom.get_title() == f"sampled at {RATE:g} Hz"
     assert zoom.get_xlim()[1] > 200.0
+    noise = 0.05 * np.random.default_rng(0).standard_normal(rectangular.shape)
+    assert pulse_width(trial.assign(perturbation=trial["perturbation"] + noise)) == pytest.approx(0.2, abs=0.011)
+    assert math.isnan(pulse_width(trial.assign(perturbation=0.0 * trial["perturbation"])))
 
 
 def test_directions_are_drawn_from_the_mean_posture():

@@ -312,16 +312,17 @@ def test_conditions_without_a_perturbation_are_left_out(copied, monkeypatch):
     path = copied / "recordings" / "S01.nc"
     recording = load_recording(path)
 
-    def at_rest(names):
+    def at_rest(names, size=0.0):
         still = recording["condition"].isin(names)
-        quiet = recording.assign(perturbation=recording["perturbation"].where(~still, 0.0))
+        noise = size * np.random.default_rng(0).standard_normal(recording["perturbation"].shape)
+        quiet = recording.assign(perturbation=recording["perturbation"].where(~still, noise))
         labels = {"pulse_onset": math.nan, "pulse_level": 0.0, "pulse_direction": math.nan}
         path.unlink()
         save_recording(
             quiet.assign_coords({name: recording[name].where(~still, at) for name, at in labels.items()}), path
         )
 
-    at_rest(["rest"])
+    at_rest(["rest"], size=0.01)  # noise of the channel is no perturbation
     found = analysed(copied)
     assert "conditions in which nothing perturbs the handle are left out: rest" in found.missing
     assert "rest" not in found.recorded
