@@ -60,10 +60,8 @@ class Response(Command):
         from armperturb.commands.selection import MemoryPerSample, select_trials
         from armperturb.recording import is_one_axis
 
-        of_lines = {"period": self.period, "lines_per_average": self.lines_per_average}
-        for name, value in of_lines.items():
-            if value is not None and self.method not in (None, "multisine", "spectral"):
-                raise ValueError(f"response: {name} = {value:g}; expected none with the method {self.method}")
+        if self.method not in (None, "multisine", "spectral"):
+            self._require_none_of_lines(f"with the method {self.method}")
         recordings, lines = select_trials(
             self.recordings, self.sidecar, self.subject, self.condition, single_condition=True
         )
@@ -71,7 +69,7 @@ class Response(Command):
         if is_one_axis(recordings[0]):
             return [*lines, *self._of_one_axis(recordings), f"results: {self.out}"]
         method = "multisine" if self.method is None else self.method
-        options: dict[str, Any] = {"window_start": self.window_start, **of_lines}
+        options: dict[str, Any] = {"window_start": self.window_start, **self._of_lines()}
         options = {name: value for name, value in options.items() if value is not None}
         distortion = None
         try:
@@ -99,9 +97,7 @@ class Response(Command):
     def _of_one_axis(self, recordings: "list[xr.Dataset]") -> list[str]:
         from armperturb.analysis.response.estimate import response
 
-        for name, value in {"period": self.period, "lines_per_average": self.lines_per_average}.items():
-            if value is not None:
-                raise ValueError(f"response: {name} = {value:g}; expected none of one axis")
+        self._require_none_of_lines("of one axis")
         try:
             estimate = response(recordings, self.method, what=self.what, window_start=self.window_start or 0.0)
         except ValueError as error:
@@ -109,6 +105,15 @@ class Response(Command):
         self._write({"response": estimate, "distortion": None})
         said = estimate.describe()
         return [said.title, *said.facts, *said.remarks]
+
+    def _of_lines(self) -> dict[str, float | None]:
+        """Options of methods for multisines."""
+        return {"period": self.period, "lines_per_average": self.lines_per_average}
+
+    def _require_none_of_lines(self, where: str) -> None:
+        for name, value in self._of_lines().items():
+            if value is not None:
+                raise ValueError(f"response: {name} = {value:g}; expected none {where}")
 
     def _write(self, results: "dict[str, FrequencyResponse | BestLinear | None]") -> None:
         """Write tables and figures; what an earlier run has left is removed where there is no result of it."""

@@ -61,7 +61,9 @@ class ThesisEstimate(Result):
         n, people = len(self.fits), list(dict.fromkeys(self.subjects))
         who = people[0] if len(people) == 1 else f"{len(people)} people"
         vaf, _ = self.mean_vaf()
-        spread = () if len(people) == 1 else ("value_sd",)
+        columns = {"value": "mean", "value_sd": "SD over people", "sem": "SEM"}
+        if len(people) == 1:
+            del columns["value_sd"]
         return Description(
             title=f"The thesis's estimator, model {self.structure}: {n} trial{'' if n == 1 else 's'} of {who}",
             facts=(
@@ -69,9 +71,9 @@ class ThesisEstimate(Result):
                 ", ".join(f"{count} of {n} {words}" for words, count in self.status.items()),
             ),
             table=Table(
-                ("parameter", "mean", *("SD over people" for _ in spread), "SEM", "unit"),
+                ("parameter", *columns.values(), "unit"),
                 tuple(
-                    (row["parameter"], *(plain(row[name]) for name in ("value", *spread, "sem")), row["unit"])
+                    (row["parameter"], *(plain(row[name]) for name in columns), row["unit"])
                     for row in self.to_frame().to_dict("records")
                 ),
             ),

@@ -151,12 +151,8 @@ def maxima_near(
     maxima: list[Maximum] = []
     for start in (at_dynamics(likelihood, dynamics), *other_thresholds(likelihood, dynamics)):
         values = search_from(Search(likelihood, start), start).values
-        inside = Search(likelihood, values).inside(values)
-        information = likelihood.normal(values, np.eye(len(values))[:, inside]).information
-        place = len(values) - 1
-        error = math.sqrt(inverse(information)[-1, -1]) if place in inside else 0.0
-        threshold = (float(values[place]), error) if THRESHOLD in likelihood.model.dynamics else (math.nan, math.nan)
-        if any(abs(threshold[0] - each.threshold[0]) <= max(error, each.threshold[1]) for each in maxima):
+        threshold = _threshold(likelihood, values)
+        if any(abs(threshold[0] - each.threshold[0]) <= max(threshold[1], each.threshold[1]) for each in maxima):
             continue  # the same one
         solution = solved(likelihood, values)
         curves = {
@@ -167,6 +163,17 @@ def maxima_near(
         maxima.append(Maximum(likelihood.objective(values), solution, curves, threshold))
     lowest = min(each.objective for each in maxima)
     return sorted((each for each in maxima if each.objective < lowest + LESS_LIKELY), key=lambda each: each.objective)
+
+
+def _threshold(likelihood: VaryingLikelihood, values: Array) -> tuple[float, float]:
+    """Threshold of the reflex and its standard error, 0 at a bound; NaN without one."""
+    if THRESHOLD not in likelihood.model.dynamics:
+        return math.nan, math.nan
+    place, inside = len(values) - 1, Search(likelihood, values).inside(values)
+    if place not in inside:
+        return float(values[place]), 0.0
+    information = likelihood.normal(values, np.eye(len(values))[:, inside]).information
+    return float(values[place]), math.sqrt(max(float(inverse(information)[-1, -1]), 0.0))
 
 
 def mixed(maxima: Sequence[Maximum]) -> dict[str, Curve]:

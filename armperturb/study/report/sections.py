@@ -105,54 +105,19 @@ def sections(
         },
         "left_out": {"lists": left_out(study, rows["fits"], study.remarks if score is None else score.remarks)},
     }
-    of_amplitude = _of_amplitude(study)
     if study.conditions:
-        amplitudes = {task: differ_in_amplitude(of_task) for task, of_task in by_task(study).items()}
-        averaged = _averaged(study, main_conditions(study).values())
-        contexts["summary"]["averaged"] = averaged
-        contexts["admittance"] = {
-            "effects": effects,
-            "findings": ratios,
-            "amplitudes": amplitudes,
-            "averaged": averaged,
-            "in_all": {task: _averaged(study, of_task) for task, of_task in by_task(study).items()},
-        }
-        contexts["fits"] = {
-            **{"summary": rows["summary"], "rows": rows["fits"], "remarks": remarks(study), **flagged},
-            "rejected": _mostly(rows["fits"], lambda row: row["p_value"] < SUSPICIOUS),
-        }
-        contexts["parameters"] = {
-            "rows": rows["parameters_summary"],
-            "main": [condition.name for condition in main_conditions(study).values()],
-            "flagged": _flagged(rows["fits"]),
-            "stuck": _mostly(rows["fits"], lambda row: "k_s" in row["at_bound"].split()),
-            "of_amplitude": of_amplitude,
-        }
+        contexts["summary"]["averaged"] = _averaged(study, main_conditions(study).values())
+        contexts |= _of_identified(study, effects, rows, ratios, flagged)
     if study.conditions or played:
         contexts["explorer"] = {"panels": panels(study), "played": played}
     if PULSES_DRAWN & set(drawn):
-        contexts["pulses"] = {
-            "findings": ratios,
-            "of_amplitude": of_amplitude,
-            "excess": of_study.excess_rows(study),
-            "measured": _with_pulses(study, "displacement"),
-            "predicted": _with_pulses(study, "prediction"),
-            "lost": sum(
-                trial.pulse_level != 0.0 and math.isnan(trial.displacement)
-                for person in study.people
-                for trial in person.trials
-            ),
-            "ratio_is_published": any(ratio_is_published(each.name, each.pulse_levels) for each in conditions),
-            # But for p values, which the statistics have.
-            "headlines": score
-            and [line for line in score.headlines if "pulse" in line.name and not line.name.startswith("p_")],
-        }
+        contexts["pulses"] = _of_pulses(study, score, ratios)
     if study.emg:
         contexts["emg"] = emg_section(study)
     if study.nonlinear:
         contexts["nonlinear"] = _nonlinear(study)
     if effects.rows or effects.admittance or (effects.remarks and len(study.names) >= FEWEST):
-        contexts["statistics"] = {"effects": effects, "of_amplitude": of_amplitude}
+        contexts["statistics"] = {"effects": effects, "of_amplitude": _of_amplitude(study)}
     if (joints := joint_rows(study)) or score is not None or "joint_rotations" in drawn:
         contexts["kinematics"] = {
             "joints": joints,
@@ -179,6 +144,55 @@ def sections(
             **_agreement(score),
         }
     return {template: contexts[template] for template in WORDS["sections"] if template in contexts}
+
+
+def _of_identified(
+    study: StudyResult,
+    effects: Effects,
+    rows: Mapping[str, list[Row]],
+    ratios: Mapping[str, Any],
+    flagged: Mapping[str, Any],
+) -> dict[str, dict[str, Any]]:
+    """What the sections of spectra, fits and parameters show of people who were identified."""
+    of_tasks, main = by_task(study), main_conditions(study).values()
+    return {
+        "admittance": {
+            "effects": effects,
+            "findings": ratios,
+            "amplitudes": {task: differ_in_amplitude(of_task) for task, of_task in of_tasks.items()},
+            "averaged": _averaged(study, main),
+            "in_all": {task: _averaged(study, of_task) for task, of_task in of_tasks.items()},
+        },
+        "fits": {
+            **{"summary": rows["summary"], "rows": rows["fits"], "remarks": remarks(study), **flagged},
+            "rejected": _mostly(rows["fits"], lambda row: row["p_value"] < SUSPICIOUS),
+        },
+        "parameters": {
+            "rows": rows["parameters_summary"],
+            "main": [condition.name for condition in main],
+            "flagged": _flagged(rows["fits"]),
+            "stuck": _mostly(rows["fits"], lambda row: "k_s" in row["at_bound"].split()),
+            "of_amplitude": _of_amplitude(study),
+        },
+    }
+
+
+def _of_pulses(study: StudyResult, score: Score | None, ratios: Mapping[str, Any]) -> dict[str, Any]:
+    """What the section of pulses shows."""
+    trials = [trial for person in study.people for trial in person.trials]
+    conditions = study.protocol.conditions
+    return {
+        "findings": ratios,
+        "of_amplitude": _of_amplitude(study),
+        "excess": of_study.excess_rows(study),
+        "measured": _with_pulses(study, "displacement"),
+        "predicted": _with_pulses(study, "prediction"),
+        "lost": sum(trial.pulse_level != 0.0 and math.isnan(trial.displacement) for trial in trials),
+        "ratio_is_published": any(ratio_is_published(each.name, each.pulse_levels) for each in conditions),
+        # But for p values, which the statistics have.
+        "headlines": score
+        and [line for line in score.headlines if "pulse" in line.name and not line.name.startswith("p_")],
+    }
 
 
 ALIKE = 0.15

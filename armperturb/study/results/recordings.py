@@ -49,10 +49,9 @@ def with_pulse_labels(recording: xr.Dataset) -> xr.Dataset:
     has_pulse = np.isfinite(recording["pulse_onset"].values)
     level = np.where(np.isfinite(level), level, 0.0)
     level[has_pulse & (level == 0.0)] = 1.0
-    duration = round(PULSE_LASTS * float(recording.attrs["rate"]))
+    onset, duration = onset_samples(recording), round(PULSE_LASTS * float(recording.attrs["rate"]))
     for trial in np.flatnonzero(has_pulse & ~np.isfinite(direction)):
-        onset = onset_samples(recording)[trial]
-        force = recording["perturbation"].values[trial, onset : onset + duration]
+        force = recording["perturbation"].values[trial, onset[trial] : onset[trial] + duration]
         size = np.hypot(*force.T)
         if size.any():
             x, y = force[np.argmax(size)]
