@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from scipy import fft, signal
 
 from armperturb.analysis.arm.linear_arm import environment_admittance
-from armperturb.analysis.response.closed_loop import estimate_multisine, estimate_noise
+from armperturb.analysis.response.closed_loop import estimate_noise
+from armperturb.analysis.response.multisines import estimate_multisine
 from armperturb.environment import Environment
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.perturbations import Multisine

@@ -40,7 +40,6 @@ from scipy import interpolate, stats
 from armperturb.analysis.cuts import require_two_axes
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, SETTLED
 from armperturb.analysis.manipulator import copies_left_out
-from armperturb.analysis.response.closed_loop import HIGHEST_ORDER, periodic_trials
 from armperturb.analysis.response.frequency_response import FrequencyResponse
 from armperturb.analysis.response.local_polynomial import (
     ComplexArray,
@@ -51,6 +50,7 @@ from armperturb.analysis.response.local_polynomial import (
     whole_window,
     without,
 )
+from armperturb.analysis.response.multisines import HIGHEST_ORDER, periodic_trials
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.analysis.trials import SeveralTrials, TrialRecord, prepared_condition
 from armperturb.arrays import Array

@@ -15,10 +15,11 @@ from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START
 from armperturb.analysis.manipulator import remarks_on_trials
 from armperturb.analysis.pulses_alone import used_whole
 from armperturb.analysis.response.arx import fit_arx
-from armperturb.analysis.response.closed_loop import estimate_multisine, estimate_noise
+from armperturb.analysis.response.closed_loop import estimate_noise
 from armperturb.analysis.response.frequency_response import FrequencyResponse, System, require_frequencies
 from armperturb.analysis.response.joint_records import admittance_of, excited_frequencies, joint_records, variance_of
 from armperturb.analysis.response.local_polynomial import N_INPUTS, Window, fit_locally, frequency_response
+from armperturb.analysis.response.multisines import estimate_multisine
 from armperturb.analysis.response.one_axis import one_axis_response
 from armperturb.analysis.response.spectra import averaged_spectra, line_spectra
 from armperturb.analysis.response.subspace import fit_subspace
@@ -194,10 +195,11 @@ def response(
     several = used_whole(several)
     method = "multisine" if method is None else method
     require_one_of("response", "method", method, list(METHODS))
+    estimate = METHODS[method](several, frequency=frequency, **options)
     return replace(
-        METHODS[method](several, frequency=frequency, **options),
+        estimate,
         label=f"{named([trials.recording for trials in several])}, {method}",
-        remarks=remarks_on_trials(several),
+        remarks=(*remarks_on_trials(several), *estimate.remarks),
         labels=labels_of(several[0].recording),
     )
 

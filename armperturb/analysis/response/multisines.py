@@ -1,0 +1,353 @@
+"""Frequency responses from multisines of a known period, whose lines the disturbance tells (thesis 2.6, generalised).
+
+Samples of equal phase are averaged, so that 24 s of a period of 20.48 s hold one period of which a part is less noisy.
+The disturbance then sits on the excited lines alone, and the quiet lines beside them show leakage and noise. A period
+whose every line is excited has no quiet ones. Where trials hold several of it, some of them together are taken for one,
+which has quiet lines between the excited ones.
+
+Lines near each other share one polynomial, as far as the response is smooth over their distance.
+"""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import signal
+
+from armperturb.analysis.defaults import LINES_PER_AVERAGE
+from armperturb.analysis.numerics.periodicity import samples_of_period
+from armperturb.analysis.response.closed_loop import (
+    HALF_WIDTH,
+    HIGH_ORDERS,
+    LEAKAGE_ORDER,
+    LEAST_DOF,
+    Answer,
+    balanced,
+    fit_near,
+)
+from armperturb.analysis.response.frequency_response import FrequencyResponse, System
+from armperturb.analysis.response.local_polynomial import (
+    N_INPUTS,
+    DependentDisturbancesError,
+    LocalFit,
+    Window,
+    frequency_response,
+    n_unknowns,
+)
+from armperturb.analysis.response.spectra import EXCITED_LINE
+from armperturb.analysis.trials import (
+    APERIODIC,
+    SeveralTrials,
+    TrialRecord,
+    common_period,
+    prepared_recordings,
+    records_of,
+)
+from armperturb.arrays import Array, ComplexArray
+from armperturb.validation import require_number
+
+HIGHEST_ORDER = 2
+"""Of the response's polynomial over a cluster, unless asked otherwise."""
+
+APART = 4
+"""Lines of the transform from one excited line to the next, where trials hold as many periods as that takes."""
+
+INDEPENDENT = 0.2
+"""Smallest over largest singular value of disturbances that tell two responses from each other [-]."""
+
+N_QUIET = 12
+"""Quiet lines beside a cluster that tell its leakage and noise, on both sides together."""
+
+NARROW, WIDE = 0.03, 0.15
+"""Width of a group over its frequency: below the first the response does not bend, above the second it may [-]."""
+
+
+FADE = 2.0
+"""Time over which the weights of samples of equal phase change [s]; less if a record is hardly longer than a period."""
+
+
+class Periods(NamedTuple):
+    """One trial of a periodic disturbance.
+
+    Attributes:
+      perturbation: FFT of the period-averaged d, divided by sqrt(1 / n_periods) so that noise has the same variance in
+        all trials, (line, axis).
+      answer: the same of F and X, (line, 4).
+      share: of the noise power that is left in the mean period, one over the number of periods [-].
+      contrasts: f and x less the mean of the periods before, weighted so that they hold the noise as it is and nothing
+        that is periodic; one of each further period, of which the last may be short; each (time, 4).
+    """
+
+    perturbation: ComplexArray
+    answer: ComplexArray
+    share: float
+    contrasts: tuple[Array, ...]
+
+
+class Periodic(NamedTuple):
+    """All trials of a periodic disturbance.
+
+    Attributes:
+      trials: one or more.
+      excited: numbers of the excited lines, cycles per period, (line,).
+      groups: excited lines that share a polynomial, numbers.
+      period: [s].
+      rate: of the samples [Hz].
+    """
+
+    trials: tuple[Periods, ...]
+    excited: NDArray[np.int64]
+    groups: tuple[NDArray[np.int64], ...]
+    period: float
+    rate: float
+
+    def replaced(self, answer: Answer) -> "Periodic":
+        """The same with what a function makes of frequency, D and (F, X) of each trial in place of the latter."""
+        frequency = np.arange(len(self.trials[0].answer)) / self.period
+        trials = [trial._replace(answer=answer(frequency, trial.perturbation, trial.answer)) for trial in self.trials]
+        return self._replace(trials=tuple(trials))
+
+    def windows(self, group: NDArray[np.int64]) -> list[Window]:
+        """The lines of a group and the quiet ones nearest to it, of each trial."""
+        quiet = np.setdiff1d(np.arange(1, len(self.trials[0].perturbation) - 1), self.excited)
+        distance = np.maximum(group[0] - quiet, quiet - group[-1])
+        beside = quiet[np.argsort(distance, kind="stable")[:N_QUIET]]
+        beside = beside[np.maximum(group[0] - beside, beside - group[-1]) <= 2 * N_QUIET]
+        lines = np.sort(np.concatenate([group, beside]))
+        excited = np.isin(lines, group)
+        return [
+            Window(lines / self.period, trial.perturbation[lines] * excited[:, None], trial.answer[lines], excited)
+            for trial in self.trials
+        ]
+
+    def fit(self, order: int | None, *, own_levels: bool = False) -> list[LocalFit]:
+        """The response near the middle of each group.
+
+        Polynomials have at most one term per excited line; by default at most `HIGHEST_ORDER`, beyond the first order
+        only half as many terms as equations, or one less than equations where the group is `WIDE`; of groups of many
+        lines, or wide ones, more if those fit clearly better. Lines that excite one direction each determine fewer.
+        """
+        fits = []
+        for group in self.groups:
+            chosen = self._orders(len(group), float(np.ptp(group) / group.mean())) if order is None else (order,)
+            orders = sorted({min(choice, len(group) - 1) for choice in chosen})
+            windows, centre = self.windows(group), float(group.mean()) / self.period
+            lower = range(orders[0], -1, -1) if order is None else ()
+            fits.append(_determined(windows, centre, [orders, *([each] for each in lower)], own_levels))
+        return fits
+
+    def _orders(self, n_lines: int, width: float) -> tuple[int, ...]:
+        """Orders to try of the polynomial over a group of that relative width, in rising order."""
+        equations = n_lines * len(self.trials) // N_INPUTS
+        terms = equations - 1 if width > WIDE else equations // 2
+        if n_lines > N_QUIET or (width > WIDE and terms > HIGHEST_ORDER + 1):
+            return HIGH_ORDERS
+        return (min(max(1, terms - 1), HIGHEST_ORDER if width > NARROW else 1),)
+
+
+def _determined(windows: list[Window], centre: float, choices: list[list[int]], own_levels: bool) -> LocalFit:
+    """The fit of the first orders that the excited lines determine."""
+    for orders in choices[:-1]:
+        with suppress(DependentDisturbancesError):
+            return fit_near(windows, centre, orders, own_levels)
+    return fit_near(windows, centre, choices[-1], own_levels)
+
+
+def periodic_trials(
+    recordings: SeveralTrials, *, period: float | None, window_start: float, lines_per_average: int, apart: int = 1
+) -> Periodic:
+    """Mean periods and what differs between them.
+
+    Args:
+      recordings: trials of one subject in one condition.
+      period: of the disturbance [s]; None finds it, see `periodicity`.
+      window_start: start of what is used [s].
+      lines_per_average: excited lines in a group, where there are as many without a wider gap than between the closest
+        two; more where quiet lines are too few to tell leakage and noise, or the band is wide; fewer where they are far
+        apart, and each tells the responses along x and y.
+      apart: several periods count as one, until excited lines are so many lines apart or trials hold no more.
+
+    Raises:
+      ValueError: as `records_of`; or a trial is shorter than a period, the disturbance is not periodic, or the period
+        is not a whole number of samples.
+    """
+    require_number("periodic_trials", "lines_per_average", lines_per_average, at_least=1)
+    several = prepared_recordings(recordings)
+    rate = several[0].rate
+    if period is None:
+        period = common_period(several, window_start)
+    records = records_of(several, window_start)
+    n = samples_of_period(period, rate)
+    for number, record in enumerate(records):
+        d = record.perturbation
+        if len(d) < n:
+            raise ValueError(
+                f"trial {number} holds {len(d) / rate:g} s from {window_start:g} s on; expected a whole period of "
+                f"{period:g} s (an earlier --window-start)"
+            )
+        if np.mean((d[n:] - d[:-n]) ** 2 if len(d) > n else 0.0) > APERIODIC * np.mean(d**2):
+            raise ValueError(
+                f"the perturbation of trial {number} does not repeat after {period:g} s; expected its own period "
+                "(without --period it is found; for noise there is --method noise)"
+            )
+    trials, excited = _mean_periods(records, n)
+    together = min(-(-apart // _closest(excited)), min(len(record.perturbation) for record in records) // n)
+    if together > 1:
+        trials, excited = _mean_periods(records, together * n)
+        period *= together
+    return Periodic(trials, excited, _groups(excited, trials, lines_per_average, period), period, rate)
+
+
+def _mean_periods(records: Sequence[TrialRecord], n: int) -> tuple[tuple[Periods, ...], NDArray[np.int64]]:
+    """Mean periods of n samples, and the numbers of the excited lines."""
+    trials = tuple(_mean_period(record, n) for record in records)
+    power = np.sum([np.abs(trial.perturbation) ** 2 for trial in trials], axis=(0, 2))
+    power[[0, -1]] = 0.0
+    return trials, np.flatnonzero(power > EXCITED_LINE * power.max())
+
+
+def _closest(excited: NDArray[np.int64]) -> int:
+    """Lines from an excited one to the next, where these are closest."""
+    return int(np.diff(excited).min(initial=excited[-1]))
+
+
+def _mean_period(record: TrialRecord, n: int) -> Periods:
+    """Mean over periods by weights that sum to one at each phase and fade in and out.
+
+    A jump in the weights would spread slow noise over all lines.
+    """
+    signals = np.concatenate([record.perturbation, record.response], axis=1)
+    n_all = len(signals)
+    n_fade = min(round(FADE * record.rate), n_all - n)
+    inner = np.zeros(-(-n_all // n) * n)
+    inner[n_fade // 2 : n_all - (n_fade + 1) // 2] = 1.0
+    count = inner.reshape(-1, n).sum(axis=0)
+    weights = (inner.reshape(-1, n) / count).ravel()
+    if n_fade > 1:
+        # A fade keeps the sum over periods, as it averages over neighbouring phases.
+        fade = signal.windows.hann(n_fade + 1)
+        weights = signal.fftconvolve(weights, fade / fade.sum(), mode="same")
+    padded = np.zeros((len(weights), signals.shape[1]))
+    padded[:n_all] = signals
+    mean = (weights[:, None] * padded).reshape(-1, n, signals.shape[1]).sum(axis=0)
+    share = float(np.sum(weights[:n_all] ** 2) / n)
+    spectrum = np.fft.rfft(mean, axis=0) / np.sqrt(n * share)
+    contrasts, total = [], record.response[:n].copy()
+    for first in range(n, n_all, n):
+        part = record.response[first : first + n]
+        m, k = first // n, len(part)
+        contrasts.append(np.sqrt(m / (m + 1)) * (part - total[:k] / m))
+        total[:k] += part
+    return Periods(spectrum[:, :2], spectrum[:, 2:], share, tuple(contrasts))
+
+
+def _groups(
+    excited: NDArray[np.int64], trials: Sequence[Periods], size: int, period: float
+) -> tuple[NDArray[np.int64], ...]:
+    """Excited lines that share a polynomial.
+
+    Long runs have no quiet lines around, or many lines that single ones would be too noisy for: groups are as large as
+    the leakage asks for, and grow with frequency. Lines that are far apart share one only within half the band that
+    noise has, as the response bends over more, if each tells what x and y do.
+    """
+    closest = _closest(excited)
+    runs = np.split(excited, np.flatnonzero(np.diff(excited) > 2 * closest) + 1)
+    equations = n_unknowns(len(trials), HIGHEST_ORDER, LEAKAGE_ORDER) + LEAST_DOF
+    groups: list[NDArray[np.int64]] = []
+    for run in runs:
+        is_wide = np.ptp(run) / period > 2.0 * HALF_WIDTH[0]
+        is_each_alone = closest >= APART - 1 and is_wide and _tell_both(trials, run)
+        if len(run) <= N_QUIET and not is_each_alone:
+            groups += np.array_split(run, max(1, len(run) // size))
+            continue
+        least = max(size, int(np.ceil(equations / len(trials)))) if closest == 1 else size
+        while len(run):
+            if is_each_alone:
+                half = max(HALF_WIDTH[0], HALF_WIDTH[1] * run[0] / period)
+                least = min(size, 1 + int(half * period / closest))
+            count = max(least, round(2 * HALF_WIDTH[1] * run[0] / closest))
+            if len(run) < 2 * count:
+                count = len(run)
+            groups.append(run[:count])
+            run = run[count:]
+    return tuple(groups)
+
+
+def _tell_both(trials: Sequence[Periods], lines: NDArray[np.int64]) -> bool:
+    """Whether most lines, each by itself, tell what a push along x does from what a push along y does."""
+    pushes = np.array([trial.perturbation[lines] for trial in trials]).swapaxes(0, 1)
+    large = np.linalg.svd(pushes, compute_uv=False)
+    return large.shape[1] == N_INPUTS and bool(np.median(large[:, -1] / large[:, 0]) > INDEPENDENT)
+
+
+def estimate_multisine(
+    recordings: SeveralTrials,
+    *,
+    frequency: ArrayLike | None = None,
+    what: System = "arm",
+    period: float | None = None,
+    window_start: float = 2.0,
+    lines_per_average: int = LINES_PER_AVERAGE,
+    order: int | None = None,
+    balance: bool = True,
+) -> FrequencyResponse:
+    """Frequency response from periodic multisines.
+
+    The covariance is that of the excited lines, with whatever else differs between lines and trials (distortion by a
+    nonlinear arm, a person who changes); of too few trials for that, it comes from the quiet lines as well, and holds
+    noise alone.
+
+    Args:
+      recordings: trials of one subject in one condition; the same or different multisines of one period.
+      frequency: some of those at which there are estimates [Hz], (frequency,); None gives all.
+      what: "arm" (from f to x), "environment" (from d - f to x) or "total" (from d to x).
+      period: of the disturbance [s]; None finds it in what was recorded, for at least 1.1 periods.
+      window_start: start of what is used [s].
+      lines_per_average: neighbouring lines that share a polynomial: the clusters of the thesis's multisine have 4. They
+        are fewer where lines are far apart, and more in a wide band with many lines.
+      order: of that polynomial; by default 2 if there are at least twice as many equations as it has terms, or lines
+        are far apart, and else 1.
+      balance: whether displacement and force are made better by the environment's force balance where that holds, see
+        `line_balance`; not of what="environment", which then would be what was put in.
+
+    Raises:
+      ValueError: as `periodic_trials` and `fit_locally`, `what` is something else, or there is no estimate at a
+        frequency.
+    """
+    require_number("estimate_multisine", "order", order, at_least=0, optional=True)
+    several = prepared_recordings(recordings)
+    trials = periodic_trials(
+        several, period=period, window_start=window_start, lines_per_average=lines_per_average, apart=APART
+    )
+
+    def fit(answer: Answer) -> list[LocalFit]:
+        return trials.replaced(answer).fit(order)
+
+    fits, environment = balanced(fit, several if balance and what != "environment" else None)
+    noises = [
+        (fit.excited_noise, fit.excited_dof) if fit.excited_dof >= LEAST_DOF else (fit.noise, fit.dof) for fit in fits
+    ]
+    estimate = frequency_response(fits, what, noises, environment).at(frequency)
+    return replace(estimate, remarks=_on_distance(trials))
+
+
+def _on_distance(trials: Periodic) -> tuple[str, ...]:
+    """A remark where the response is taken for smooth over lines that are far apart, and need not be."""
+    wide = [
+        group
+        for group in trials.groups
+        if len(group) <= N_QUIET
+        and np.ptp(group) / trials.period > 2.0 * max(HALF_WIDTH[0], HALF_WIDTH[1] * group.mean() / trials.period)
+        and not _tell_both(trials.trials, group)
+    ]
+    if not wide:
+        return ()
+    gap, low, high = (value / trials.period for value in (_closest(trials.excited), wide[0][0], wide[-1][-1]))
+    return (
+        f"lines of the perturbation are {gap:.3g} Hz apart, and single ones do not tell what x and y do: from "
+        f"{low:.3g} to {high:.3g} Hz neighbours share a point, over which the response may bend, and circles hold too "
+        "little (record trials with other phases along x and y, or use --method arx)",
+    )
