@@ -12,7 +12,7 @@ import pytest
 
 import armperturb
 from armperturb import RELAX
-from armperturb.analysis.response.closed_loop import estimate_multisine
+from armperturb.analysis.response.multisines import estimate_multisine
 from armperturb.cohort import draw_person
 from armperturb.pages.page import Picture
 from armperturb.perturbations import multisine

@@ -8,11 +8,12 @@ from scipy import signal
 
 from armperturb.analysis.force_balance import NoiseLevels
 from armperturb.analysis.numerics.periodicity import find_period
-from armperturb.analysis.response.closed_loop import estimate_multisine, estimate_noise
+from armperturb.analysis.response.closed_loop import estimate_noise
 from armperturb.analysis.response.estimate import response
 from armperturb.analysis.response.frequency_response import FrequencyResponse
 from armperturb.analysis.response.line_balance import LineBalance
 from armperturb.analysis.response.local_polynomial import Window, fit_locally, with_differences
+from armperturb.analysis.response.multisines import estimate_multisine
 from armperturb.environment import Environment
 from armperturb.recording import make_recording
 
