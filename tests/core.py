@@ -1,13 +1,15 @@
 """What the core does without any extra: `python tests/core.py FOLDER`, which `make test-core` runs in a core install.
 
-With `--hide` the optional libraries are hidden, and with them what only POSIX systems have; the page has no pictures
-then, which take longer than all else.
+With `--hide` the optional libraries are hidden, and with them what only POSIX systems have; pictures are empty then,
+which take longer than all else.
 """
 
 import signal
 import sys
+from importlib import import_module
 from importlib.abc import MetaPathFinder
 from pathlib import Path
+from typing import ClassVar
 
 DATA = Path(__file__).parents[1] / "examples" / "data"
 LIBRARIES = {"mujoco", "numba", "loky", "filelock", "gymnasium", "dm_control", "mediapy", "ezc3d", "joblib"}
@@ -15,11 +17,18 @@ POSIX = {"fcntl", "resource"}
 XARRAYS = {"dask", "distributed"}  # looks for them itself, and imports them where they are, which takes long
 
 
+# Importing these asks for no simulator, not even to see whether there is one.
+WITHOUT_SIMULATOR = ("armperturb", "armperturb.analysis", "armperturb.analysis.fit.identify", "armperturb.cli")
+
+
 class Hidden(MetaPathFinder):
-    """Refuses to import libraries as if they were not installed."""
+    """Refuses to import libraries as if they were not installed, and keeps the names of those that were asked for."""
+
+    asked: ClassVar[set[str]] = set()
 
     def find_spec(self, fullname, path=None, target=None):
         if fullname.partition(".")[0] in LIBRARIES | POSIX:
+            self.asked.add(fullname)
             raise ModuleNotFoundError(f"No module named {fullname!r}", name=fullname)
 
 
@@ -33,14 +42,18 @@ def hide():
 
 def check(folder, with_pictures):
     """Run the commands of the core on the examples' recordings, and see that the others name their extra."""
+    for name in WITHOUT_SIMULATOR:
+        import_module(name)
+        assert "mujoco" not in Hidden.asked, name
     import armperturb
     from armperturb.cli import main
     from armperturb.extras import MissingExtraError
     from armperturb.pages import page
+    from armperturb.plots import style
 
     assert not LIBRARIES & set(sys.modules)
     if not with_pictures:
-        page.svg = lambda _: b""
+        page.svg = style.svg = lambda _: b""
     recording = str(folder / "recording.nc")
     for command in (
         ("convert", str(DATA / "position.csv"), "--out", recording),

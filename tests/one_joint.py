@@ -136,7 +136,25 @@ def _slopes(state, push, drive, env, joint):
     m, b, k = env
     x, v, y, w = state
     a = (push - (b + damping) * v - (k + stiffness) * x - gain * y) / (m + inertia)
-    return np.array([v, a, w, wn * wn * (drive - y) - 2 * ratio * wn * w])
+    return v, a, w, wn * wn * (drive - y) - 2 * ratio * wn * w
+
+
+@njit(cache=True)
+def _moved(state, time, slopes):
+    (x, v, y, w), (dx, dv, dy, dw) = state, slopes
+    return x + time * dx, v + time * dv, y + time * dy, w + time * dw
+
+
+@njit(cache=True)
+def _mean(k1, k2, k3, k4):
+    """Six times the mean slope of RK4."""
+    (x1, v1, y1, w1), (x2, v2, y2, w2), (x3, v3, y3, w3), (x4, v4, y4, w4) = k1, k2, k3, k4
+    return (
+        x1 + 2 * x2 + 2 * x3 + x4,
+        v1 + 2 * v2 + 2 * v3 + v4,
+        y1 + 2 * y2 + 2 * y3 + y4,
+        w1 + 2 * w2 + 2 * w3 + w4,
+    )
 
 
 @njit(cache=True)
@@ -144,7 +162,7 @@ def _closed_loop(load, noise, env, joint, dt, halfwave, side):
     """Angle and torque of joint and device under a load, by RK4; signals are known at `FINE` instants in a sample."""
     inertia, damping, stiffness, gain, delay, _, _, threshold = joint
     n, substeps = len(load) // FINE, FINE // 2
-    state = np.zeros(4)
+    state = (0.0, 0.0, 0.0, 0.0)
     h = dt / substeps
     lag = delay / h
     whole = int(lag)
@@ -159,17 +177,19 @@ def _closed_loop(load, noise, env, joint, dt, halfwave, side):
             end = memory[(at - whole + 1) % size] * (1 - part) + memory[(at - whole) % size] * part
             at = (at + 1) % size
             at_half = i * FINE + 2 * j
-            here, half, there = [load[k % len(load)] - noise[k % len(load)] for k in range(at_half, at_half + 3)]
+            last = (at_half + 2) % len(load)
+            here, half = load[at_half] - noise[at_half], load[at_half + 1] - noise[at_half + 1]
+            there = load[last] - noise[last]
             k1 = _slopes(state, here, start, env, joint)
             if j == 0:
                 angle[i] = state[0]
                 torque[i] = (
                     inertia * k1[1] + damping * state[1] + stiffness * state[0] + gain * state[2] + noise[at_half]
                 )
-            k2 = _slopes(state + 0.5 * h * k1, half, 0.5 * (start + end), env, joint)
-            k3 = _slopes(state + 0.5 * h * k2, half, 0.5 * (start + end), env, joint)
-            k4 = _slopes(state + h * k3, there, end, env, joint)
-            state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+            k2 = _slopes(_moved(state, 0.5 * h, k1), half, 0.5 * (start + end), env, joint)
+            k3 = _slopes(_moved(state, 0.5 * h, k2), half, 0.5 * (start + end), env, joint)
+            k4 = _slopes(_moved(state, h, k3), there, end, env, joint)
+            state = _moved(state, h / 6, _mean(k1, k2, k3, k4))
     return angle, torque
 
 

@@ -103,9 +103,14 @@ def test_muscles_change_no_body():
         assert not one.levels
 
 
+@pytest.fixture(scope="module")
+def nonlinear_people():
+    return draw_cohort(60, 3)
+
+
 @pytest.mark.slow(reason="poles of twenty people at all their levels")
-def test_nonlinear_people_are_stable_at_their_levels_with_and_without_short_range_stiffness():
-    for person in draw_cohort(20, 2):
+def test_nonlinear_people_are_stable_at_their_levels_with_and_without_short_range_stiffness(nonlinear_people):
+    for person in nonlinear_people[:20]:
         assert person.levels.keys() == average_person().levels.keys()
         assert min(person.levels.values()) > 0
         for task, subject in person.subjects.items():
@@ -118,8 +123,8 @@ def test_nonlinear_people_are_stable_at_their_levels_with_and_without_short_rang
 
 
 @pytest.mark.slow(reason="draws sixty nonlinear people")
-def test_nonlinear_people_differ_around_the_average():
-    people, average = draw_cohort(60, 3), average_person()
+def test_nonlinear_people_differ_around_the_average(nonlinear_people):
+    people, average = nonlinear_people, average_person()
     for condition, level in average.levels.items():
         own = np.array([person.levels[condition] for person in people])
         assert len(np.unique(own)) == len(people)

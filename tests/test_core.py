@@ -1,4 +1,4 @@
-"""The core works without the optional libraries, and without what only POSIX systems have."""
+"""The core works without the optional libraries and what only POSIX systems have, and looks for no simulator."""
 
 import subprocess
 import sys

@@ -34,7 +34,7 @@ CASES = {
 }
 
 PROCESS = """
-import json, os, sys
+import json, os, sys, traceback
 
 sys.modules["dask"] = None  # xarray would import it, which takes long
 import mujoco, numba, pandas, scipy.optimize, scipy.signal, xarray  # which take longest, and nobody lacks here
@@ -47,8 +47,12 @@ for name, missing, code in json.loads(sys.argv[1]):
         for number, stream in ((1, "out"), (2, "err")):
             os.dup2(os.open(f"{name}.{stream}", os.O_WRONLY | os.O_CREAT), number)
         sys.modules.update(dict.fromkeys(missing))
-        exec(code)
-        sys.exit()
+        try:
+            exec(code)
+        except BaseException:
+            traceback.print_exc()
+        sys.stdout.flush()
+        os._exit(0)  # to take down what a process has loaded takes longer than to work with it
     os.waitpid(child, 0)
 """
 

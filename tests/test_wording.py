@@ -40,18 +40,28 @@ def strings_and_names(path):
     The syntax tree, of which there are hundreds, isn't kept.
     """
     strings, names = [], []
-    for node in ast.walk(ast.parse((ROOT / path).read_text(encoding="utf-8"))):
+    waiting = [ast.parse((ROOT / path).read_text(encoding="utf-8"))]
+    while waiting:  # as `ast.walk`, which takes twice as long
+        node = waiting.pop()
         if isinstance(node, ast.Constant):
             if isinstance(node.value, str):
                 strings.append((node.lineno, node.value))
-        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-            names.append((node.lineno, node.id))
-        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+            continue
+        if isinstance(node, ast.Name):
+            if isinstance(node.ctx, ast.Store):
+                names.append((node.lineno, node.id))
+            continue
+        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
             names.append((node.lineno, node.attr))
         elif isinstance(node, ast.arg | ast.alias):
             names.append((node.lineno, node.arg if isinstance(node, ast.arg) else node.asname))
         elif isinstance(node, ast.FunctionDef | ast.ClassDef):
             names.append((node.lineno, node.name))
+        for part in vars(node).values():
+            if isinstance(part, list):
+                waiting += [each for each in part if isinstance(each, ast.AST)]
+            elif isinstance(part, ast.AST) and not isinstance(part, ast.expr_context):
+                waiting.append(part)
     return strings, names
 
 

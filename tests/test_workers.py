@@ -73,12 +73,14 @@ def test_what_is_done_ahead_is_done_once_and_may_fail(tmp_path):
 
 
 @pytest.mark.slow(reason="starts processes")
-def test_all_units_are_done_once():
+def test_all_units_are_done_once_and_what_one_raises_comes_through():
     ticks = []
     with workers_for(2, None) as pool:
         for first in (0, 20):  # the processes stay for more
             found = list(completed(square, range(first, first + 20), pool, lambda: ticks.append(0)))
             assert sorted(found) == [n**2 for n in range(first, first + 20)]
+        with pytest.raises(ValueError, match="unit 0 is wrong"):
+            list(completed(fail, range(1), pool))
     assert ticks
 
 
@@ -132,12 +134,6 @@ def test_workers_that_always_die_end_it(monkeypatch):
     monkeypatch.setattr(workers, "MAX_DEATHS", 1)
     with pytest.raises(RuntimeError, match="worker processes died 2 times in succession"):
         list(completed(die, range(3), LocalProcesses(1)))
-
-
-@pytest.mark.slow(reason="starts processes")
-def test_what_a_unit_raises_comes_through():
-    with pytest.raises(ValueError, match="unit 0 is wrong"):
-        list(completed(fail, range(1), LocalProcesses(1)))
 
 
 def helper():

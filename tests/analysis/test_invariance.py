@@ -1,6 +1,7 @@
 """What says nothing of the arm changes no result: axes, offsets, order and copies of trials, and small sizes."""
 
 from dataclasses import replace
+from functools import cache
 
 import invented_emg
 import numpy as np
@@ -20,6 +21,7 @@ TURN = np.array(
         [np.sin(np.radians(ANGLE_DEG)), np.cos(np.radians(ANGLE_DEG))],
     ]
 )
+OPTIONS = {"multitaper": {"half_bandwidth": 0.5}}
 OFFSETS = {"perturbation": [0.0, 0.0], "force": [3.0, -2.0], "displacement": [0.04, -0.02]}
 
 
@@ -41,10 +43,22 @@ def other(recording):
     return recording.assign(turned).assign_coords(theta_s_deg=shoulder).isel(trial=[2, 0, 1])
 
 
+@pytest.fixture(scope="module")
+def response_to(recording):
+    """A function of a method: the response that it finds in the recording."""
+    return cache(lambda method: ap.response(recording, method, **OPTIONS.get(method, {})))
+
+
+@pytest.fixture(scope="module")
+def fit_to(recording):
+    """A function of an estimator: its fit to the recording."""
+    return cache(lambda estimator: ap.identify(recording, "1", estimator=estimator).fit)
+
+
 @pytest.mark.slow(reason="estimates several responses")
 @pytest.mark.parametrize("method", ["multisine", "noise", "arx"])
-def test_a_response_turns_with_its_axes(recording, other, method):
-    before, after = (ap.response(each, method=method) for each in (recording, other))
+def test_a_response_turns_with_its_axes(response_to, other, method):
+    before, after = response_to(method), ap.response(other, method)
     np.testing.assert_array_equal(after.frequency, before.frequency)
     turned = np.einsum("ij,...jk,lk->...il", TURN, before.response, TURN)
     assert np.abs(after.response - turned).max() < 1e-3 * np.abs(turned).max()
@@ -62,8 +76,8 @@ def test_the_order_of_trials_does_not_choose_that_of_a_polynomial(seed):
 
 @pytest.mark.slow(reason="fits two recordings")
 @pytest.mark.parametrize("estimator", ["record", "frequency"])
-def test_parameters_are_the_same(recording, other, estimator):
-    before, after = (ap.identify(each, "1", estimator=estimator).fit for each in (recording, other))
+def test_parameters_are_the_same(fit_to, other, estimator):
+    before, after = fit_to(estimator), ap.identify(other, "1", estimator=estimator).fit
     for name, value in before.values.items():
         assert after.values[name] == pytest.approx(value, abs=0.01 * before.standard_error[name]), name
         assert after.standard_error[name] == pytest.approx(before.standard_error[name], rel=0.01), name
@@ -82,25 +96,24 @@ def copied(recording):
 
 @pytest.mark.slow(reason="estimates several responses")
 @pytest.mark.parametrize("method", list(METHODS))
-def test_a_response_does_not_depend_on_copies(recording, copied, method):
-    options = {"half_bandwidth": 0.5} if method == "multitaper" else {}
-    before, after = (ap.response(each, method, **options) for each in (recording, copied))
+def test_a_response_does_not_depend_on_copies(response_to, copied, method):
+    before, after = response_to(method), ap.response(copied, method, **OPTIONS.get(method, {}))
     np.testing.assert_array_equal(after.response, before.response)
     np.testing.assert_array_equal(after.covariance, before.covariance)
     assert after.remarks == (*COPIES, *before.remarks)
 
 
 @pytest.mark.slow(reason="estimates a response")
-def test_trials_of_several_recordings_count_once(recording, copied):
-    before, after = ap.response(recording, "welch"), ap.response([copied, recording.isel(trial=[1])], "welch")
+def test_trials_of_several_recordings_count_once(response_to, recording, copied):
+    before, after = response_to("welch"), ap.response([copied, recording.isel(trial=[1])], "welch")
     np.testing.assert_array_equal(after.covariance, before.covariance)
     assert after.remarks[-1] == "trial 0 of recording 1 repeats trial 1 of recording 0 and is left out"
 
 
 @pytest.mark.slow(reason="fits two recordings")
 @pytest.mark.parametrize("estimator", ["record", "frequency", "thesis"])
-def test_parameters_do_not_depend_on_copies(recording, copied, estimator):
-    before, after = (ap.identify(each, "1", estimator=estimator).fit for each in (recording, copied))
+def test_parameters_do_not_depend_on_copies(fit_to, copied, estimator):
+    before, after = fit_to(estimator), ap.identify(copied, "1", estimator=estimator).fit
     assert (after.values, after.standard_error) == (before.values, before.standard_error)
     assert [remark for remark in after.remarks if remark not in before.remarks] == list(COPIES)
     (of_all,) = (each.fit for each in ap.identify_conditions(copied, "1", estimator=estimator).values())
@@ -111,7 +124,7 @@ def test_parameters_do_not_depend_on_copies(recording, copied, estimator):
 @pytest.mark.parametrize("identify", [ap.identify_joint, ap.identify_varying])
 def test_a_joint_does_not_depend_on_copies(identify):
     joint = one_joint.person("ankle", 1, "none")
-    parts = [one_joint.recording(joint, 100 + trial, "position", duration=10.0) for trial in range(4)]
+    parts = [one_joint.recording(joint, 100 + trial, "position", duration=5.0) for trial in range(4)]
     recording = ap.stack_trials(parts)
     before, after = (
         identify(each, reflex="none").to_frame() for each in (recording, recording.isel(trial=[0, 1, 2, 0, 2, 3]))

@@ -41,9 +41,10 @@ def test_responses_and_fits_remark_on_them():
     recording = Setup(arm=Arm(), n_trials=2, duration=20.0).recording()
     assert ap.response(recording).remarks == ()
     turned = recording.assign(force=-recording["force"])
-    (wrong,) = ap.response(turned).remarks
+    found = ap.response(turned)
+    (wrong,) = found.remarks
     assert "as it would if the sign of force were turned" in wrong
-    assert wrong[:60] in ap.response(turned).summary()
+    assert wrong[:60] in found.summary()
     millimetres = recording.assign(displacement=1e3 * recording["displacement"])
     millimetres["displacement"].attrs = recording["displacement"].attrs
     said = ap.identify(millimetres, "1", estimator="frequency").fit.remarks
@@ -77,6 +78,6 @@ def test_signs_and_units_that_no_joint_has_are_remarked_on(servo, name, factor, 
     recording = one_joint.recording(one_joint.person("ankle", 9, "linear"), 9, servo, duration=12.0, decibel=20.0)
     wrong = scaled(recording, name, factor)
     for function, options in ((ap.response, {"frequency": [3.0, 9.0]}), (ap.identify_joint, {"reflex": "none"})):
-        counts = [sum("comes out at" in each for each in function(r, **options).remarks) for r in (recording, wrong)]
-        assert counts == [0, 1]
-        assert any(re.search(said, remark) for remark in function(wrong, **options).remarks)
+        right, remarks = (function(each, **options).remarks for each in (recording, wrong))
+        assert [sum("comes out at" in each for each in found) for found in (right, remarks)] == [0, 1]
+        assert any(re.search(said, remark) for remark in remarks)

@@ -68,16 +68,17 @@ const revive = arm => ({...arm, muscle: arm.muscle && Object.fromEntries(Object.
 const path = moved => moved.log.x.map((x, i) => [x, moved.log.y[i]]);
 const pulse = arm => ArmModel.move(arm, timestep => ArmModel.pulse(...given.pulse, timestep));
 const multisine = arm => ArmModel.move(arm, timestep => ArmModel.multisine(...given.multisine, timestep));
-const answers = arms => arms.map(revive).map(arm => ({
+const answer = (arm, pulsed) => ({
   admittance: given.frequency.map(frequency => ArmModel.admittance(arm, frequency)),
   pole: ArmModel.largestRealPole(arm),
   fastest: ArmModel.fastestPole(arm),
-  parts: pulse(arm).parts,
-  ended: pulse(arm).log.ended,
+  parts: pulsed.parts,
+  ended: pulsed.log.ended,
   torn: ArmModel.move(arm, timestep => ArmModel.pulse(1e15, 0, 0.1, 0.2, timestep)).log.ended,
-  pulse: path(pulse(arm)),
+  pulse: path(pulsed),
   multisine: path(multisine(arm)),
-}));
+});
+const answers = arms => arms.map(revive).map(arm => answer(arm, pulse(arm)));
 """
 )
 """JavaScript that answers for arms as `values_of` gives them."""

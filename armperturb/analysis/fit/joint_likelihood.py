@@ -120,7 +120,8 @@ class JointLikelihood:
 
     def initial(self, given: Mapping[str, float]) -> Array:
         """Given values, and where there is none the mean over the groups of where linear least squares would start."""
-        values = self._started([group.initial for group in self.groups])
+        is_whole = set(self.names) <= given.keys()
+        values = np.zeros(len(self.names)) if is_whole else self._started([group.initial for group in self.groups])
         for name, value in given.items():
             if name not in self.names:
                 raise ValueError(f"initial: unknown parameter {name!r}; expected {', '.join(self.names)}")

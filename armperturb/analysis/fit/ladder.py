@@ -285,6 +285,8 @@ def _nearest_to_linear(recorded: Group, in_geometry: Geometry | None, method: Me
     tried = [(recorded, _richest(recorded, start, (), method), start)]
     arm: Subject | None = None
     while in_geometry is not None and len(tried) < 3 and (group := in_geometry(arm)) is not None:
+        if method == "frequency" and group.period is None:
+            break  # the movement, which differs from period to period, acts in this geometry as a force
         start = _fit_of_spectra(group, RICHEST)
         rung = _richest(group, start, () if arm is None else [tried[-1][1]], method)
         arm = rung.structure.arm(group.body, rung.sketch.values)

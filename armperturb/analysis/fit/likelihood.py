@@ -180,9 +180,10 @@ class Likelihood(Whittle):
         residual = self._white_rows(values)
         white = complex_values(residual, self._observed.shape)
         errors = applied(self._white.conj().swapaxes(0, 1), white)
-        slopes = self._answer.slopes_along(values, mixing, self._driving, errors)
+        gradient = self._answer.gradient(values, mixing)
+        slopes = self._answer.slopes_along(values, mixing, self._driving, errors, gradient)
         information = np.zeros(2 * mixing.shape[1:])
-        for derivatives in self._answer.driven_slopes(values, mixing, self._alike):
+        for derivatives in self._answer.driven_slopes(values, mixing, self._alike, gradient):
             rows = applied_rows(self._white, derivatives)
             information += rows @ rows.T
         return Normal(float(np.sum(residual**2)), slopes.sum(axis=0)[None], information[None])

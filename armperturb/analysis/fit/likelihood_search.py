@@ -131,10 +131,12 @@ def search_from(
         normal = problem.normal(values)
         room = problem.lower - values, problem.upper - values
         reason = "no smaller step increases the likelihood"
-        if step_size(normal, bounded_step(normal, 0.0, *room)) < settled:
+        whole = bounded_step(normal, 0.0, *room)
+        if step_size(normal, whole) < settled:
             return Searched(values, normal.information, "converged: steps are far below the errors", True, n_rounds)
         while True:
-            after = np.clip(values + bounded_step(normal, damping, *room), problem.lower, problem.upper)
+            step = bounded_step(normal, damping, *room) if damping else whole
+            after = np.clip(values + step, problem.lower, problem.upper)
             if not problem.pole(after) < limit:
                 reason = "at the border of stability"
             elif problem.cost(after) < normal.cost:

@@ -59,16 +59,19 @@ class TotalAdmittance:
         """P of an arm with these parameters [m/N], (output, input, frequency)."""
         return self._at(np.moveaxis(self._arm.total_admittance(values, self._environment), 0, -1))
 
-    def driven_slopes(self, values: Array, mixing: Array, loads: ComplexArray) -> Iterator[ComplexArray]:
+    def driven_slopes(
+        self, values: Array, mixing: Array, loads: ComplexArray, gradient: ComplexArray | None = None
+    ) -> Iterator[ComplexArray]:
         """Derivatives of P d by the free parameters, of one trial after the other, (free parameter, axis, frequency).
 
         Args:
           values: parameters of the arm, (parameter,).
           mixing: (arm parameter, free parameter).
           loads: DFT of d, (trial, axis, frequency).
+          gradient: of these arguments, if it is known.
         """
-        groups, index = groups_of(np.any(mixing != 0.0, axis=1))
-        by_all = self._gradient(values, groups)
+        index = groups_of(np.any(mixing != 0.0, axis=1))[1]
+        by_all = self.gradient(values, mixing) if gradient is None else gradient
         # Real and imaginary parts beside one another: the mixing is real.
         mixed = (mixing[index].T @ by_all.reshape(len(index), -1).view(float)).view(complex)
         asked = mixed.reshape(-1, *by_all.shape[1:])
@@ -83,7 +86,12 @@ class TotalAdmittance:
             yield driven
 
     def slopes_along(
-        self, values: Array, mixing: Array, loads: ComplexArray, directions: Iterable[ComplexArray]
+        self,
+        values: Array,
+        mixing: Array,
+        loads: ComplexArray,
+        directions: Iterable[ComplexArray],
+        gradient: ComplexArray | None = None,
     ) -> Array:
         """Derivatives of the real part of <direction, P d> of each trial by the free parameters, (trial, parameter).
 
@@ -92,16 +100,26 @@ class TotalAdmittance:
           mixing: (arm parameter, free parameter).
           loads: DFT of d, (trial, axis, frequency).
           directions: of each trial, (axis, frequency).
+          gradient: of these arguments, if it is known.
         """
-        groups, index = groups_of(np.any(mixing != 0.0, axis=1))
-        by_all = self._gradient(values, groups).reshape(len(index), -1).view(float)
+        index = groups_of(np.any(mixing != 0.0, axis=1))[1]
+        by_all = self.gradient(values, mixing) if gradient is None else gradient
+        by_all = by_all.reshape(len(index), -1).view(float)
         # As x.re m.re - x.im m.im is the real part of x m, conjugates beside one another give it by one product.
         along = (direction[:, None] * load.conj() for direction, load in zip(directions, loads, strict=True))
         asked = np.array([(self._refinement.transpose(each) if self._refinement else each).ravel() for each in along])
         return np.asarray((mixing[index].T @ (by_all @ asked.view(float).T)).T)
 
-    def _gradient(self, values: Array, groups: tuple[str, ...]) -> ComplexArray:
-        """Derivatives of P by the groups' parameters where the arm is asked, (parameter, output, input, asked)."""
+    def gradient(self, values: Array, mixing: Array) -> ComplexArray:
+        """Derivatives of P where the arm is asked, for both of the above, (parameter, output, input, asked).
+
+        The parameters are those of the groups in which any is free.
+
+        Args:
+          values: parameters of the arm, (parameter,).
+          mixing: (arm parameter, free parameter).
+        """
+        groups, _ = groups_of(np.any(mixing != 0.0, axis=1))
         by_all = self._arm.total_and_gradient(values, self._environment, groups)[1]
         return np.ascontiguousarray(by_all.transpose(3, 1, 2, 0))
 

@@ -39,11 +39,16 @@ def splines(variable: Array, n_basis: int, low: float, high: float) -> Array:
     """
     if n_basis == 1:
         return np.ones((1, *np.shape(variable)))
+    # In an ensemble all trials are at the same times, one row in memory.
+    n_alike = len(variable) if variable.ndim == 2 and variable.strides[0] == 0 else 1
     inner = np.linspace(low, high, n_basis - DEGREE + 1)
     knots = np.concatenate([np.full(DEGREE, low), inner, np.full(DEGREE, high)])
-    values = BSpline.design_matrix(np.clip(variable, low, high).ravel(), knots, DEGREE).toarray()
+    different = np.clip(variable[:1] if n_alike > 1 else variable, low, high).ravel()
+    values = BSpline.design_matrix(different, knots, DEGREE).toarray()
     # Rounding must not pass for data of a spline that no sample reaches.
     values[values < ROUNDING] = 0.0
+    if n_alike > 1:
+        values = np.tile(values, (n_alike, 1))
     return np.moveaxis(values.reshape(*np.shape(variable), n_basis), -1, 0)
 
 

@@ -129,10 +129,10 @@ def test_fits_at_the_border_of_stability_converge():
     assert result.criterion < 0.0395  # without the penalty's curvature: 0.043 after 1000 evaluations
 
 
-@pytest.mark.slow(reason="fits forty noisy responses")
+@pytest.mark.slow(reason="fits noisy responses")
 def test_standard_errors_cover_the_truth_of_noisy_responses():
     rng, truth, ratios = np.random.default_rng(3), truth_of(RELAX, "1"), []
-    for _ in range(40):
+    for _ in range(24):
         noise = 0.02 * (rng.normal(size=(len(FREQUENCY), 2, 2)) + 1j * rng.normal(size=(len(FREQUENCY), 2, 2)))
         admittance = arm_admittance(RELAX, FREQUENCY) * np.exp(noise)
         result = fit_admittance(FREQUENCY, admittance, RELAX, "1", ENVIRONMENT)

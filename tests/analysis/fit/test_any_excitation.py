@@ -33,8 +33,9 @@ def scores(fit, truth):
 @pytest.mark.parametrize("kind", ["multisine", "noise", "filtered noise", "chirp", "pulses"])
 def test_any_excitation_tells_the_arm(kind, amid):
     setup = draw_foreign(3, kind=kind, amid=amid, n_trials=4, duration=12.0, **QUICK)
-    # Once with all of it for each kind.
-    found = identify(setup.recording(), STRUCTURE).fit.detail if amid else estimated(setup)
+    # With all of it where the disturbance is of another kind than those of multisines in the tests of the ladder.
+    searched = amid and kind != "multisine"
+    found = identify(setup.recording(), STRUCTURE).fit.detail if searched else estimated(setup)
     assert np.abs(scores(found, setup.truth)).max() < 4.0
     assert found.chi2 < 1.5 * found.dof
     assert not found.is_suspicious
@@ -51,11 +52,10 @@ def test_slow_samples_tell_the_arm_amid_movement(rate):
 @pytest.mark.slow(reason="simulates and fits foreign arms")
 def test_records_may_differ_in_length():
     long, short = (draw_foreign(3, kind="noise", n_trials=2, duration=duration, **QUICK) for duration in (12.0, 8.0))
-    both, alone = identify([long.recording(), short.recording()], STRUCTURE), estimated(long)
-    assert both.n_trials == 4
-    assert np.abs(scores(both.fit, long.truth)).max() < 4.0
+    both, alone = estimate([Group.prepare([long.recording(), short.recording()], STRUCTURE)]), estimated(long)
+    assert np.abs(scores(both, long.truth)).max() < 4.0
     for name in JUDGED:
-        assert both.fit.standard_error[name] < alone.standard_error[name]
+        assert both.standard_error[name] < alone.standard_error[name]
 
 
 @pytest.mark.slow(reason="simulates and fits foreign arms")

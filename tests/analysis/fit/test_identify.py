@@ -75,9 +75,10 @@ def test_noise_widens_intervals_that_hold_the_truth(noisy_relax_recording, of_id
 
 @pytest.mark.slow(reason="identifies two conditions several times")
 def test_conditions_are_identified_together_and_share_what_is_asked_for(noisy_relax_recording):
-    alone = {name: identify(noisy_relax_recording.isel(trial=part), "1") for name, part in PARTS.items()}
-    apart = identify_conditions(noisy_relax_recording, "1")
-    together = identify_conditions(noisy_relax_recording, "1", share=["mass", "grip", "k_s"])
+    periods = {"estimator": "frequency"}
+    alone = {name: identify(noisy_relax_recording.isel(trial=part), "1", **periods) for name, part in PARTS.items()}
+    apart = identify_conditions(noisy_relax_recording, "1", **periods)
+    together = identify_conditions(noisy_relax_recording, "1", share=["mass", "grip", "k_s"], **periods)
     assert list(apart) == list(together) == ["RT7.5", "RT22.5"]
     shared = {"m_h", "m_f", "b_h", "k_h", "k_s"}
     first, second = (together[name].fit for name in PARTS)

@@ -26,9 +26,9 @@ def recorded(seed, **options):
 
 
 @pytest.mark.slow(reason="fits several structures to each recording")
-@pytest.mark.parametrize(("grip", "reflex"), [("rigid", "none"), ("spring", "position")])
-def test_right_structure_is_chosen_and_its_parameters_are_right(grip, reflex):
-    truth, recording = recorded(6, kind="multisine", grip=grip, reflex=reflex)
+@pytest.mark.parametrize(("seed", "grip", "reflex"), [(5, "rigid", "none"), (6, "spring", "position")])
+def test_right_structure_is_chosen_and_its_parameters_are_right(seed, grip, reflex):
+    truth, recording = recorded(seed, kind="multisine", grip=grip, reflex=reflex)
     fit = identify(recording).fit
     assert fit.choice.chosen[:3] == ("free", grip, reflex)
     assert fit.choice.in_motion
@@ -74,10 +74,10 @@ def test_a_structure_is_found_where_its_usual_starts_lead_astray(example):
     assert 0.02 < fit.values["Td_s"] < 0.045
 
 
-@pytest.mark.slow(reason="fits many structures to long trials")
+@pytest.mark.slow(reason="fits many structures")
 def test_neighbours_are_searched_again_from_a_structure_that_was_found_late():
     """The first searches of this arm, of the richest structure and from it, all end in the wrong place."""
-    setup = draw_foreign(731, n_trials=3, rate=100.0, linear=True)
+    setup = draw_foreign(731, n_trials=3, duration=16.0, rate=100.0, linear=True)
     choice = choose_structure(Group.prepare(setup.recording(), composed()))
     assert choice.chosen[:3] == ("free", setup.truth["grip"], setup.truth["reflex"])
     assert not choice.estimate.is_suspicious
@@ -133,10 +133,9 @@ def test_a_choice_of_structure_shares_nothing():
 
 def test_conditions_are_named_as_they_are_fitted(noisy_relax_recording):
     said: list[str] = []
-    results = identify_conditions(noisy_relax_recording, estimator="frequency", progress=said.append)
-    assert said == list(results)
-    assert len(said) == 2
+    first = noisy_relax_recording.isel(trial=slice(3))
+    assert said == list(identify_conditions(first, estimator="frequency", progress=said.append)) == ["RT7.5"]
     for estimator in ("frequency", "thesis"):
         said.clear()
-        identify_conditions(noisy_relax_recording, "1", estimator=estimator, progress=said.append)
-        assert said == list(results)
+        results = identify_conditions(noisy_relax_recording, "1", estimator=estimator, progress=said.append)
+        assert said == list(results) == ["RT7.5", "RT22.5"]

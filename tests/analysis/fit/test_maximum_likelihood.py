@@ -42,7 +42,7 @@ def record(subject, n=4, *, seed=0, noise=1.0, linear=True, instruments=INSTRUME
         )
         for trial in range(n)
     ]
-    return run_experiment(trials, linear=linear, instruments=instruments)
+    return run_experiment(trials, linear=linear, instruments=instruments, engine="compiled")
 
 
 def group_of(recording, model, **options):
@@ -56,12 +56,12 @@ def true_value(arm, name):
 
 @pytest.fixture(scope="module")
 def position(once):
-    return once("eight of position", lambda _: record(POSITION, 8))
+    return once("five of position", lambda _: record(POSITION, 5))
 
 
 @pytest.fixture(scope="module")
 def relax(once):
-    return once("eight of relax", lambda _: record(RELAX, 8))
+    return once("five of relax", lambda _: record(RELAX, 5))
 
 
 @pytest.fixture(scope="module")
@@ -83,8 +83,8 @@ def of_position(position_group):
 @pytest.mark.slow(reason="fits six groups of trials, by both methods")
 @pytest.mark.parametrize(("subject", "model"), [(POSITION, "3b"), (RELAX, "1")], ids=["PT", "RT"])
 def test_intervals_hold_the_truth_as_often_as_they_say(subject, model):
-    recording = record(subject, 24, seed=77)
-    groups = [group_of(recording.isel(trial=slice(first, first + 4)), model) for first in range(0, 24, 4)]
+    recording = record(subject, 18, seed=77)
+    groups = [group_of(recording.isel(trial=slice(first, first + 3)), model) for first in range(0, 18, 3)]
     of_periods = [estimate([group], "frequency") for group in groups]
     # A search of whole records starts where that of mean periods ends, here or of itself.
     of_records = [estimate([group], initial=found.values) for group, found in zip(groups, of_periods, strict=True)]
@@ -381,7 +381,7 @@ def test_bad_input_is_refused_in_one_sentence(position, position_group, relax_gr
         with pytest.raises(ValueError, match=message):
             estimate(*arguments, **options)
     heavy = group_of(
-        position.assign_coords(condition=("trial", ["PT2.5"] * 8)), STRUCTURES["3b"].freeing(m_tot=(9.0, 9.5, 10.0))
+        position.assign_coords(condition=("trial", ["PT2.5"] * 5)), STRUCTURES["3b"].freeing(m_tot=(9.0, 9.5, 10.0))
     )
     with pytest.raises(ValueError, match=r"bounds of the shared m_tot cross \(9 to 8\)"):
         estimate([position_group, heavy], share=["mass"])
@@ -392,7 +392,7 @@ def test_bad_input_is_refused_in_one_sentence(position, position_group, relax_gr
         profile([position_group], found, "k_s", [-1.0])
 
     with pytest.raises(ValueError, match=r"l_h has several values"):
-        Group.prepare(position.assign_coords(l_h=("trial", np.linspace(0.3, 0.33, 8))), STRUCTURES["3b"])
+        Group.prepare(position.assign_coords(l_h=("trial", np.linspace(0.3, 0.33, 5))), STRUCTURES["3b"])
     broken = position.copy(deep=True)
     broken["force"].values[2, 5, 1] = np.nan
     with pytest.raises(ValueError, match=r"force of trial 2 is nan at sample 5"):
@@ -403,7 +403,7 @@ def test_bad_input_is_refused_in_one_sentence(position, position_group, relax_gr
         estimate([group_of(position.isel(time=slice(0, 4000)), "3b")], "frequency")
     with pytest.raises(ValueError, match=r"period = 10 s; expected the perturbation's own: that of trial 0 does not"):
         group_of(position, "3b", period=10.0)
-    met = position.assign_coords(limit_time=("trial", [np.nan, 3.0] + [np.nan] * 6))
+    met = position.assign_coords(limit_time=("trial", [np.nan, 3.0] + [np.nan] * 3))
     with pytest.raises(ValueError, match=r"trial 1 reached the workspace limit at 3.000 s"):
         group_of(met, "3b")
     one_way = position.copy(deep=True)

@@ -10,7 +10,8 @@ from foreign_recordings import Setup
 from armperturb.analysis.arm.geometry import mass_matrix
 from armperturb.analysis.arm.parameters import PARAMETERS
 from armperturb.analysis.arm.state_space import largest_real_pole
-from armperturb.analysis.fit.identify import identify
+from armperturb.analysis.fit.group import Group
+from armperturb.analysis.fit.maximum_likelihood import estimate
 from armperturb.analysis.fit.own_structures import (
     composed,
     edited,
@@ -235,10 +236,10 @@ def test_free_inertia_gives_arms_of_distributed_mass_back(grip):
     quick = dict(rate=100.0, duration=15.0, period=5.0, rms=0.001)  # so small that other geometries fit as well
     setup = Setup(arm=Arm(grip=grip, **reflexes), **world, **quick)
     structure = composed(inertia="free", grip="rigid" if grip is None else "spring", reflex="position")
-    fit = identify(setup.recording(), structure).fit
+    fit = estimate([Group.prepare(setup.recording(), structure)])
     truth = {name.replace("inertia", "i"): value for name, value in setup.truth.items()}
     assert fit.converged
-    assert not fit.detail.is_suspicious
+    assert not fit.is_suspicious
     for name in (name for name in structure.free if name in truth):
         assert abs(fit.values[name] - truth[name]) < 3.5 * fit.standard_error[name], name
     for name in ("i_s", "i_se", "i_e", "k_s", "k_se", "k_e"):
@@ -273,9 +274,8 @@ def test_priors_stay_where_only_bounds_change():
 @pytest.mark.parametrize(("free", "estimator"), [(("m_h",), "record"), (("b_h",), "frequency")])
 def test_what_alone_is_free_is_estimated(free, estimator, relax_recording):
     known = {name: getattr(RELAX, name) for name in MODEL_3.free if name not in free}
-    fit = identify(
-        relax_recording.isel(trial=[0, 1, 2]), MODEL_3.fixing(**known).named("the rest is known"), estimator=estimator
-    ).fit
+    structure = MODEL_3.fixing(**known).named("the rest is known")
+    fit = estimate([Group.prepare(relax_recording.isel(trial=[0, 1, 2]), structure)], estimator)
     assert fit.converged
     for name in free:
         assert fit.values[name] == pytest.approx(getattr(RELAX, name), rel=0.03)

@@ -46,6 +46,12 @@ def group(recording):
     return with_emg(recording)
 
 
+@pytest.fixture(scope="module")
+def fitted(group):
+    """The estimate from whole records; others are from mean periods where what is asked about them is the same."""
+    return estimate([group])
+
+
 @pytest.mark.slow(reason="simulates four trials with EMG")
 def test_slope_is_that_of_the_cost(group):
     problem = JointLikelihood([group], "record", ())
@@ -71,7 +77,7 @@ def test_slopes_of_long_records_are_those_of_the_derivatives(group, monkeypatch)
     assert np.abs(problem.normal(values).slope - slope).max() > 1e-4 * np.abs(slope).max()
 
 
-def by_stretch(outputs, noise=0.02):
+def by_stretch(outputs, noise=0.05):
     """The same trials with EMG of muscles each of which follows its own stretch, as the arm has it."""
     rng, rate = np.random.default_rng(0), outputs.rate
     q = outputs.rotation
@@ -101,9 +107,9 @@ def with_outputs(group, outputs):
 
 
 @pytest.mark.slow(reason="simulates four trials with EMG")
-def test_muscles_may_follow_their_own_stretch_or_the_torque_of_their_joints(group, outputs):
-    of_stretch, of_torque = estimate([with_outputs(group, by_stretch(outputs))]), estimate([group])
-    assert (of_stretch.law, of_torque.law) == (STRETCH, TORQUE)
+def test_muscles_may_follow_their_own_stretch_or_the_torque_of_their_joints(group, outputs, fitted):
+    of_stretch = estimate([with_outputs(group, by_stretch(outputs))], "frequency", initial=fitted.values)
+    assert (of_stretch.law, fitted.law) == (STRETCH, TORQUE)
     assert of_stretch.p_value > 0.01
     assert any(remark.startswith("EMG follows the stretch of each muscle alone") for remark in of_stretch.remarks)
     for name in ("kv_s", "kv_se", "kv_e", "kp_s", "kp_se", "kp_e"):
@@ -112,33 +118,34 @@ def test_muscles_may_follow_their_own_stretch_or_the_torque_of_their_joints(grou
 
 
 @pytest.mark.slow(reason="simulates four trials with EMG")
-def test_emg_that_does_not_fit_is_named_and_not_the_movement(group, outputs):
+def test_emg_that_does_not_fit_is_named_and_not_the_movement(group, outputs, fitted):
     swapped = outputs.difference * np.array([-1.0 if name == "se" else 1.0 for name in outputs.groups])
-    fitted = estimate([with_outputs(group, replace(outputs, difference=swapped))])
-    assert fitted.doubts_emg
-    assert sum(remark.startswith(UNLIKE) for remark in fitted.remarks) == 1
-    assert not any("more of the movement" in remark for remark in fitted.remarks)
+    swapped = with_outputs(group, replace(outputs, difference=swapped))
+    wrong = estimate([swapped], "frequency", initial=fitted.values)
+    assert wrong.doubts_emg
+    assert sum(remark.startswith(UNLIKE) for remark in wrong.remarks) == 1
+    assert not any("more of the movement" in remark for remark in wrong.remarks)
 
 
 @pytest.mark.slow(reason="simulates four trials with EMG")
-def test_effort_that_shows_in_the_emg_raises_doubt(studies, group):
-    assert estimate([group]).p_value > 0.01
+def test_effort_that_shows_in_the_emg_raises_doubt(studies, fitted):
+    assert fitted.p_value > 0.01
     slow = NOISE.without_fast_part()  # which never shows, and hides in the movement what does
-    shown = estimate([with_emg(recorded(studies.perturbed(POSITION, 5.4, 4, noise=slow), 1.0))])
+    shown = estimate([with_emg(recorded(studies.perturbed(POSITION, 5.4, 4, noise=slow), 1.0))], "frequency")
     assert shown.p_value < 1e-4
 
 
 @pytest.mark.slow(reason="simulates four trials with EMG")
-def test_emg_that_is_late_is_named_unless_its_delay_is_estimated(recording, group):
-    assert not any(remark.startswith(UNTIMELY) for remark in estimate([group]).remarks)
+def test_emg_that_is_late_is_named_unless_its_delay_is_estimated(recording, fitted):
+    assert not any(remark.startswith(UNTIMELY) for remark in fitted.remarks)
     late = recording.assign(emg=recording["emg"].copy(data=np.roll(recording["emg"].values, 40, axis=1)))  # by 20 ms
     said = [remark for remark in estimate([with_emg(late)]).remarks if remark.startswith(UNTIMELY)]
     assert len(said) == 1
     assert 12.0 < float(said[0].partition("as if EMG were ")[2].partition(" ms late")[0]) < 24.0
-    free = estimate([with_emg(late, sd=0.02)])
+    free = estimate([with_emg(late, sd=0.02)], "frequency")
     assert not any(remark.startswith(UNTIMELY) for remark in free.remarks)
     late["emg"].attrs["lead"] = late["emg"].attrs.get("lead", 0.0) - 0.02
-    assert not any(remark.startswith(UNTIMELY) for remark in estimate([with_emg(late)]).remarks)
+    assert not any(remark.startswith(UNTIMELY) for remark in estimate([with_emg(late)], "frequency").remarks)
 
 
 @pytest.mark.slow(reason="simulates two trials with EMG")

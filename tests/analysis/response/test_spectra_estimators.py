@@ -268,9 +268,9 @@ def arx_records(lengths, seed, noise, offset=0.0):
     for trial, n in enumerate(lengths):
         u = rng.normal(size=(n, 2))
         y = rng.normal(size=(n, 4))
+        drive = u[2:] @ D.T + u[1:-1] @ B[0].T + u[:-2] @ B[1].T + noise * rng.normal(size=(n - 2, 4))
         for k in range(2, n):
-            y[k] = A[0] @ y[k - 1] + A[1] @ y[k - 2] + D @ u[k] + B[0] @ u[k - 1] + B[1] @ u[k - 2]
-            y[k] += noise * rng.normal(size=4)
+            y[k] = A[0] @ y[k - 1] + A[1] @ y[k - 2] + drive[k - 2]
         inputs.append(u + offset * trial)
         outputs.append(y - offset * trial**2)
     return [TrialRecord(u, y, 100.0) for u, y in zip(inputs, outputs, strict=True)]

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pandas as pd
@@ -149,14 +150,24 @@ def test_stiffness_over_a_scheduling_variable_predicts_what_was_held_out():
     assert estimate.held_out_vaf > 95.0
 
 
+@pytest.fixture(scope="module")
+def reflexive():
+    """A function of a kind of reflex: six repetitions of a joint that has it, and the estimate that chooses one."""
+
+    @cache
+    def made(kind):
+        angle, torque = measured(100.0, 6, 1.2, 0.02)
+        record = recorded(angle, torque if kind == "none" else torque + reflex_torque(angle, kind))
+        return record, identify_varying(record)
+
+    return made
+
+
 @pytest.mark.parametrize(
     "kind", [pytest.param("none", marks=pytest.mark.slow(reason="looks for what is not there")), "linear", "half-wave"]
 )
-def test_left_out_repetitions_choose_the_reflex_path(kind):
-    angle, torque = measured(100.0, 6, 1.2, 0.02)
-    if kind != "none":
-        torque = torque + reflex_torque(angle, kind)
-    estimate = identify_varying(recorded(angle, torque))
+def test_left_out_repetitions_choose_the_reflex_path(kind, reflexive):
+    _, estimate = reflexive(kind)
     assert estimate.structure.reflex == kind
     assert len(estimate.tried) == 4
     assert all(each.score > estimate.tried[0].score for each in estimate.tried[1:])
@@ -197,16 +208,14 @@ def test_searches_of_a_half_wave_start_at_several_thresholds():
         assert all(np.isfinite(start).all() for start in starts)
 
 
-@pytest.mark.slow(reason="estimates an ensemble twice")
-def test_the_structure_that_is_chosen_is_estimated_as_if_asked_for():
-    angle, torque = measured(100.0, 6, 1.2, 0.02)
-    record = recorded(angle, torque + reflex_torque(angle, "linear"))
-    chosen, asked = identify_varying(record), identify_varying(record, reflex="linear")
+@pytest.mark.slow(reason="estimates an ensemble")
+def test_the_structure_that_is_chosen_is_estimated_as_if_asked_for(reflexive):
+    record, chosen = reflexive("linear")
+    asked = identify_varying(record, reflex="linear")
     pd.testing.assert_frame_equal(chosen.to_frame(), asked.to_frame())
     assert "structure as asked for: intrinsic path, linear reflex" in asked.summary()
 
 
-@pytest.mark.slow(reason="estimates an ensemble twice")
 @pytest.mark.slow(reason="estimates of many ensembles")
 def test_bands_of_few_repetitions_are_students():
     """Those of the normal distribution hold 77 %."""

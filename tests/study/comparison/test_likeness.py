@@ -57,11 +57,11 @@ def test_signs_that_no_handle_has_are_remarked_on():
     assert "as it would if the sign of force were turned" in turned.summary()
 
 
-@pytest.mark.slow(reason="draws people and simulates two trials of each")
-@pytest.mark.parametrize("task", ["PT", "RT"])
-def test_noise_pulses_and_few_trials_make_nobody_inhuman(task):
+@pytest.mark.slow(reason="draws people and simulates trials of each")
+@pytest.mark.parametrize(("task", "n_trials"), [("PT", 1), ("RT", 2)])
+def test_noise_pulses_and_few_trials_make_nobody_inhuman(task, n_trials):
     person, force = ap.draw_person(764, 0).subjects[task], {"PT": 5.4, "RT": 0.9}[task]
-    multisines = [ap.Multisine.draw(rms=force, seed=seed, crested=False) for seed in (1, 2)]
+    multisines = [ap.Multisine.draw(rms=force, seed=seed, crested=False) for seed in range(1, 1 + n_trials)]
     trials = [
         ap.Trial(
             subject=person,

@@ -3,10 +3,12 @@
 import csv
 import math
 
+import numpy as np
 import pytest
 
 from armperturb.cli import main
 from armperturb.plots.style import new_figure
+from armperturb.recording_files import load_recording, save_recording
 from armperturb.study.comparison.score import ScoredCell
 from armperturb.study.comparison.start_scores import STARTS, StartScores, compare_starts
 from armperturb.study.published.tables import MeanSD
@@ -47,8 +49,11 @@ def test_cells_near_from_published_and_far_from_scattered_starts_were_made_by_th
 
 
 @pytest.mark.slow(reason="fits trials of one person from three starts")
-def test_recordings_are_fitted_from_each_start(study):
-    result = compare_starts([study.of("PT7.5")[0].recording], structures=("1", "2"))
+def test_recordings_are_fitted_from_each_start(study, tmp_path):
+    recording = load_recording(study.of("PT7.5")[0].recording, optional=())
+    of_one_condition = recording.isel(trial=np.flatnonzero(recording["condition"].values == "PT7.5"))
+    save_recording(of_one_condition, tmp_path / "S01.nc")
+    result = compare_starts([tmp_path / "S01.nc"], structures=("1", "2"))
     assert result.people == 1
     names = [[each.cell for each in result.cells[start]] for start in STARTS]
     assert names[0] == names[1] == names[2]

@@ -229,7 +229,6 @@ HOLDER = """
 import json, sys, time
 from pathlib import Path
 from armperturb.study.recording.folder import open_study
-from armperturb.study.results.cache import forget_results
 with open_study(Path(sys.argv[1]), json.loads(sys.argv[2])):
     print("holding", flush=True)
     time.sleep(60)

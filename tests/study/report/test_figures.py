@@ -676,14 +676,6 @@ def test_conditions_of_ones_own_have_the_same_figures_but_for_what_is_printed(re
     ]
 
 
-@pytest.mark.slow(reason="draws all figures")
-def test_registry_draws_what_it_holds(recorded):
-    for name, draw in drawings(recorded, NOTHING).items():
-        # These need what the multisine trials of a recording hold.
-        if name not in ("perturbation", "prediction_PT", "prediction_RT"):
-            assert draw().axes, name
-
-
 @pytest.mark.slow(reason="draws figures")
 def test_registry_draws_one_person_in_one_task(recorded):
     first = recorded.people[0]
