@@ -20,7 +20,7 @@ class Compare(Command):
     needs_simulator = True
 
     recordings: Positional[tuple[Path, ...]]
-    """Recordings of one arm in one condition under multisines: netCDF4, or others with a sidecar (see convert)."""
+    """Recordings of one arm in one condition under multisines or noise: netCDF4, or others with a sidecar."""
     out: Path
     """Folder for compare.csv, compare.svg and compare.txt."""
     reference: Annotated[Literal["thesis", "people"], tyro.conf.arg(name="with")] = "people"

@@ -28,7 +28,7 @@ from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.measures.endpoint import EndpointMatrix
 from armperturb.analysis.response.estimate import response
 from armperturb.analysis.results import Description, Result, Table
-from armperturb.analysis.trials import ConditionTrials, prepared_condition, records_of
+from armperturb.analysis.trials import ConditionTrials, common_period, prepared_condition, records_of
 from armperturb.arrays import Array, ComplexArray
 from armperturb.cohort import draw_person, draw_subject
 from armperturb.controllers.remnant import HUMAN_NOISE
@@ -170,7 +170,7 @@ def compare(
     """An arm beside people: admittance, ellipses at the hand, and joint parameters where the geometry is known.
 
     Args:
-      recording: trials of one arm in one condition under multisines; its task says which people.
+      recording: trials of one arm in one condition under multisines or noise; its task says which people.
       reference: "thesis" or "people".
       ideal: whether people have no noise of their own and perfect instruments, beside a model that has neither.
       seed: of whom is drawn.
@@ -188,7 +188,8 @@ def compare(
     require_two_axes(first)
     task = str(first["task"].values[0])
     require_one_of("recording", "task", task, TASKS)
-    estimate = response(several, window_start=WINDOW_START)
+    method = _method_for(several)
+    estimate = response(several, method, window_start=WINDOW_START)
     chosen = estimate.frequency <= HIGHEST
     frequency, admittance = estimate.frequency[chosen], estimate.response[chosen]
     geometry: dict[str, Any] = {name: float(first[name].values[0]) for name in GEOMETRY}
@@ -216,8 +217,8 @@ def compare(
                 f"{gone} of {len(recordings)} people leave the workspace under these forces: the arm stands beside the "
                 "stiffer ones",
             )
-        each_estimate = (response(recorded, window_start=WINDOW_START) for recorded in borne)
-        of_people = np.stack([estimate.at(frequency).response for estimate in each_estimate])
+        each_estimate = (response(each, method, frequency=frequency, window_start=WINDOW_START) for each in borne)
+        of_people = np.stack([estimate.response for estimate in each_estimate])
     arm = people[0] if known else None  # of which only the geometry counts
     values = _quantities(frequency, admittance, arm)
     each = [_quantities(frequency, response_of_one, arm) for response_of_one in of_people]
@@ -234,6 +235,15 @@ def compare(
         usual=_usual(each),
         remarks=(*estimate.remarks, *said),
     )
+
+
+def _method_for(several: Sequence[ConditionTrials]) -> str:
+    """The method of `response` that takes these perturbations: the people are under the same."""
+    try:
+        common_period(several, WINDOW_START)
+    except ValueError:
+        return "noise"
+    return "multisine"
 
 
 def _drawn(reference: str, task: str, seed: int, geometry: Mapping[str, Any]) -> list[Subject]:

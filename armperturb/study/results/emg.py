@@ -182,8 +182,8 @@ def person_emg(
     of_reflexes = [line for reflex in of_conditions.values() for line in reflex.remarks]
     if "joint_angle" not in recording and (rigid := [label for label in of_conditions if label not in arms]):
         of_reflexes.append(
-            f"delays from rotation to EMG in {', '.join(rigid)} are too short: without joint angles and an identified "
-            "arm, the handle's movement passes for the hand's"
+            f"delays from rotation to EMG in {', '.join(rigid)} may be too short: without joint angles and an "
+            "identified arm, the handle's movement passes for the hand's"
         )
     return PersonEmg(
         name=name,

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from scipy import signal
 
 import armperturb as ap
 from armperturb.analysis.trials import prepared_condition
@@ -45,6 +46,20 @@ def test_a_person_is_human_and_an_arm_of_iron_is_not():
     assert data["reference_gains"].dims == ("person", "frequency", "gain")
     np.testing.assert_array_equal(data["gains"].sel(gain="larger"), human.gains[:, 0])
     assert (data["gains"].sel(gain="larger") >= data["gains"].sel(gain="smaller")).all()
+
+
+@pytest.mark.slow(reason="draws people and simulates a trial of each")
+def test_noise_tells_a_person_from_an_arm_of_iron():
+    white = np.random.default_rng(3).standard_normal((round(30.0 * 200.0), 2))
+    force = ap.Sampled(
+        force=6.0 * signal.sosfilt(signal.butter(2, 12.0, fs=200.0, output="sos"), white, axis=0), rate=200.0
+    )
+    for k, is_human in ((1.0, True), (15.0, False)):
+        arm = replace(ap.POSITION, k_s=k * ap.POSITION.k_s, k_e=k * ap.POSITION.k_e, m_f=k**0.5 * ap.POSITION.m_f)
+        recording = ap.run_experiment([ap.Trial(subject=arm, perturbation=force)], linear=True)
+        likeness = ap.compare(recording, "thesis", ideal=True)
+        assert len(likeness.frequency) > 20
+        assert {likeness.is_human(group) for group in likeness.distance} == {is_human}, likeness.distance
 
 
 @pytest.mark.slow(reason="analyses several studies")
