@@ -13,11 +13,17 @@ no arm, so that
 
     p(x, y | d) = p(x | d) p(y | q),
 
-and the logarithms of both likelihoods add (`trials_with_emg`). Rotations are those of the recorded joint angles, or
+and the logarithms of both likelihoods add (`trials_with_emg`). A window w is put on the recorded y, after delay and
+derivatives. On q it is therefore put as it was: with T for the delay and F for the Fourier transform,
+
+    F[w(t) u(t - T)] = e^(-s T) F[w(t + T) u(t)], where w(t + T) is w + T w',
+    F[w q'] = s F[w q] - F[w' q],    F[w q''] = s^2 F[w q] - 2 s F[w' q] + F[w'' q].
+
+Rotations are those of the recorded joint angles, or
 follow from the handle's displacement x and its force f on the hand: q = J^-1 (x - f / (b_h s + k_h)).
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple, Self
@@ -108,12 +114,14 @@ class EmgSpectra(NamedTuple):
 
     Attributes:
       frequency: [Hz], (frequency,).
+      rate: of the samples [Hz].
       taper: window, (time,).
       judged: samples that it is of.
       used: places of the frequencies in a DFT.
     """
 
     frequency: Array
+    rate: float
     taper: Array
     judged: slice
     used: slice
@@ -124,11 +132,19 @@ class EmgSpectra(NamedTuple):
         judged, taper = judged_part(outputs.difference.shape[1], outputs.rate, from_rest=outputs.from_rest)
         frequency = fft.rfftfreq(len(taper), 1.0 / outputs.rate)
         used = slice(int(np.searchsorted(frequency, BAND[0])), int(np.searchsorted(frequency, BAND[1])))
-        return cls(frequency[used], taper, judged, used)
+        return cls(frequency[used], outputs.rate, taper, judged, used)
 
-    def __call__(self, values: Array) -> ComplexArray:
-        """DFT of signals (trial, time, channel) without their mean, (trial, channel, frequency)."""
-        part = (values - values.mean(axis=1, keepdims=True))[:, self.judged] * self.taper[:, None]
+    def __call__(self, values: Array, order: int = 0) -> ComplexArray:
+        """DFT of signals (trial, time, channel) without their mean, (trial, channel, frequency).
+
+        Args:
+          values: the signals.
+          order: of the window's derivative [1/s^order], with which they are weighed in place of the window.
+        """
+        window = self.taper
+        for _ in range(order):
+            window = np.gradient(window, 1.0 / self.rate)
+        part = (values - values.mean(axis=1, keepdims=True))[:, self.judged] * window[:, None]
         return np.asarray(fft.rfft(part, axis=1)[:, self.used].swapaxes(1, 2))
 
 
@@ -144,7 +160,10 @@ class GainsOfJoints(Whittle):
 
     def __init__(self, outputs: ReflexOutputs, spectra: EmgSpectra, cause: ComplexArray, law: Law = TORQUE) -> None:
         frequency = spectra.frequency
-        self._s = 2j * np.pi * frequency
+        self._s = s = 2j * np.pi * frequency
+        one, none = np.ones_like(s), np.zeros_like(s)
+        # Powers of s with their derivatives over the factorials of their orders, (power, order, frequency).
+        self._powers = np.array([[one, none, none], [s, one, none], [s**2, 2.0 * s, one]])
         # Each gain, and of which output and component it is.
         self._gains = [
             (output, component)
@@ -187,12 +206,14 @@ class EmgLikelihood(GainsOfJoints):
     def __init__(self, outputs: ReflexOutputs, delay: ElectromechanicalDelay, law: Law = TORQUE) -> None:
         self._outputs, self.law = outputs, law
         spectra = EmgSpectra.of(outputs)
-        self._grip_load = None if outputs.grip_load is None else spectra(outputs.grip_load)
+        self._rotations = [spectra(outputs.rotation, order) for order in range(len(FEEDBACK))]
+        load = outputs.grip_load
+        self._grip_loads = None if load is None else [spectra(load, order) for order in range(len(FEEDBACK))]
         self.names = tuple(name for group in outputs.groups for name in law.gains[group])
         self._delay = delay
         if delay.sd > 0.0:
             self.names = (*self.names, DELAY_NAME)
-        super().__init__(outputs, spectra, spectra(outputs.rotation), law)
+        super().__init__(outputs, spectra, self._rotations[0], law)
 
     def under(self, law: Law) -> "EmgLikelihood":
         """The same EMG, by another law."""
@@ -201,7 +222,7 @@ class EmgLikelihood(GainsOfJoints):
     @property
     def rows(self) -> list[int]:
         """Places of the values that EMG depends on."""
-        of_grip = [] if self._grip_load is None else [GRIP_STIFFNESS, GRIP_DAMPING]
+        of_grip = [] if self._grip_loads is None else [GRIP_STIFFNESS, GRIP_DAMPING]
         feedback = np.unique([MATRIX[name] for name in FEEDBACK]).tolist()
         return [*feedback, *range(N_ARM)[DELAYS], *of_grip, *range(N_ARM, N_ARM + len(self.names))]
 
@@ -234,22 +255,40 @@ class EmgLikelihood(GainsOfJoints):
     def _delay_of(self, values: Array) -> float:
         return float(values[-1]) if self._delay.sd > 0.0 else self._delay.mean
 
-    def _late(self, values: Array) -> ComplexArray:
-        """Delay from rotation to EMG, (component, frequency)."""
-        late = self.law.delays @ values[DELAYS] - self._delay_of(values)
-        return np.asarray(np.exp(-self._s * late[:, None]))
+    def _delays(self, values: Array) -> Array:
+        """From rotation to EMG [s], (component, 1)."""
+        return np.asarray(self.law.delays @ values[DELAYS] - self._delay_of(values))[:, None]
 
     def _feedback(self, values: Array) -> ComplexArray:
-        """From rotation to what reflexes see, (component, joint, frequency)."""
-        powers = [
-            (self.law.feedback @ values[ENTRIES[name]])[..., None] * self._s**power
-            for power, name in enumerate(FEEDBACK)
-        ]
-        return np.asarray(np.sum(powers, axis=0))
+        """From rotation to what reflexes see, and its derivatives by s over their factorials, (order, component, joint,
+        frequency)."""
+        gains = np.array([self.law.feedback @ values[ENTRIES[name]] for name in FEEDBACK])
+        return np.asarray(np.einsum("pci,pof->ocif", gains, self._powers))
 
-    def _rotation(self, values: Array) -> ComplexArray:
-        """Of the joints, (trial, joint, frequency); what the grip gives way is none of it."""
-        return self._force if self._grip_load is None else self._force - self._grip(values) * self._grip_load
+    def _responses(self, values: Array, by_s: ComplexArray) -> ComplexArray:
+        """From rotations to what reflexes see, as late as EMG shows it, by the order of the window's derivative.
+
+        Args:
+          values: of the parameters.
+          by_s: response without a delay and its derivatives, as `_feedback` gives them.
+        """
+        late = self._delays(values)[:, None]
+        whole, first, second = by_s
+        orders = np.stack([whole, late * whole - first, second - late * first])
+        return np.asarray(np.exp(-self._s * late) * orders)
+
+    def _answers(self, responses: ComplexArray, rotations: Sequence[ComplexArray]) -> ComplexArray:
+        """Of components to rotations, (trial, component, frequency)."""
+        pairs = zip(responses, rotations, strict=True)
+        return np.asarray(sum(np.einsum("cif,tif->tcf", each, of_order) for each, of_order in pairs))
+
+    def _turned(self, values: Array, trials: slice = ALL) -> list[ComplexArray]:
+        """Rotations by the order of the window's derivative, (trial, joint, frequency); none of it is the grip's."""
+        rotations = [each[trials] for each in self._rotations]
+        if self._grip_loads is None:
+            return rotations
+        grip = self._grip(values)
+        return [turned - grip * load[trials] for turned, load in zip(rotations, self._grip_loads, strict=True)]
 
     def _grip(self, values: Array) -> ComplexArray:
         """Admittance of the grip [m/N], (frequency,)."""
@@ -257,15 +296,15 @@ class EmgLikelihood(GainsOfJoints):
 
     def _seen(self, values: Array, trials: slice = ALL) -> ComplexArray:
         """What reflexes see, as late as EMG shows it, (trial, component, frequency)."""
-        response = self._late(values)[:, None] * self._feedback(values)
-        return np.asarray(np.einsum("cif,tif->tcf", response, self._rotation(values)[trials]))
+        return self._answers(self._responses(values, self._feedback(values)), self._turned(values, trials))
 
     def _predicted(self, values: Array, trials: slice = ALL) -> ComplexArray:
         return self._mixed(self._seen(values, trials), values[N_ARM:])
 
     def _slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, ComplexArray]]:
-        late, seen, gains = self._late(values), self._seen(values), values[N_ARM:]
-        rotation = self._rotation(values)
+        feedback, turned, gains = self._feedback(values), self._turned(values), values[N_ARM:]
+        responses = self._responses(values, feedback)
+        seen = self._answers(responses, turned)
         derivatives = np.zeros((mixing.shape[1], len(seen), self._n_outputs, seen.shape[-1]), dtype=complex)
 
         def add(row: int, change: Callable[[], ComplexArray]) -> None:
@@ -276,25 +315,28 @@ class EmgLikelihood(GainsOfJoints):
                     derivatives[column] += mixing[row, column] * of_row
 
         def of_feedback(power: int, entry: int) -> ComplexArray:
-            turned = np.einsum("ci,tif->tcf", self.law.feedback[..., entry], rotation)
-            return self._mixed(late * self._s**power * turned, gains)
+            by_s = np.einsum("ci,of->ocif", self.law.feedback[..., entry], self._powers[power])
+            return self._mixed(self._answers(self._responses(values, by_s), turned), gains)
+
+        # The window that is put earlier grows with the delay, too.
+        growth = np.exp(-self._s * self._delays(values))[:, None] * np.stack([feedback[0], -feedback[1]])
+        later = self._answers(growth, turned[1:]) - self._s * seen
 
         def of_delay(joint: int) -> ComplexArray:
-            return self._mixed(-self._s * self.law.delays[:, joint, None] * seen, gains)
+            return self._mixed(self.law.delays[:, joint, None] * later, gains)
 
         for power, name in enumerate(FEEDBACK):
             for entry, row in enumerate(ENTRIES[name]):
                 add(row, partial(of_feedback, power, entry))
         for joint in range(2):
             add(DELAYS.start + joint, partial(of_delay, joint))
-        if self._grip_load is not None and np.isfinite(values[GRIP_STIFFNESS]):
-            through = (late[:, None] * self._feedback(values)) * self._grip(values) ** 2
-            by_stiffness = np.einsum("cif,tif->tcf", through, self._grip_load)
+        if self._grip_loads is not None and np.isfinite(values[GRIP_STIFFNESS]):
+            by_stiffness = self._answers(responses * self._grip(values) ** 2, self._grip_loads)
             add(GRIP_STIFFNESS, lambda: self._mixed(by_stiffness, gains))
             add(GRIP_DAMPING, lambda: self._mixed(self._s * by_stiffness, gains))
         for k, (output, component) in enumerate(self._gains):
             for column in np.flatnonzero(mixing[N_ARM + k]):
                 derivatives[column, :, output] += mixing[N_ARM + k, column] * seen[:, component]
         if self._delay.sd > 0.0:
-            add(N_ARM + len(self._gains), lambda: self._mixed(self._s * seen, gains))
+            add(N_ARM + len(self._gains), lambda: self._mixed(-later, gains))
         yield ALL, derivatives

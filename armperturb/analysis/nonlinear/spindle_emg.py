@@ -7,8 +7,8 @@ the speed v (of shoulder, both joints, elbow: q_s, q_s + q_e, q_e), they see
 
 and the difference between the amplitudes of extensors and flexors is, as in `fit.emg_likelihood`, the sum of that over
 the groups of a joint, late by Td_j less the electromechanical delay, times an unknown gain of each joint that a muscle
-crosses in each condition, plus noise. Gains are fitted anew wherever the likelihood is taken: the model is linear in
-them.
+crosses in each condition, plus noise. Windows are put on what they see, too, before it is late. Gains are fitted anew
+wherever the likelihood is taken: the model is linear in them.
 """
 
 import hashlib
@@ -112,25 +112,37 @@ class SpindleEmg(GainsOfJoints):
         groups = np.stack([turned[..., 0], turned.sum(axis=-1), turned[..., 1]], axis=-1)
         time = np.arange(groups.shape[1]) / outputs.rate
         self._speed = np.asarray(CubicSpline(time, groups, axis=1)(time, 1))
-        self._stretch = self._spectra(groups)
+        self._stretch = self._windowed(groups)
         self._seen_at: tuple[float, ComplexArray] = np.nan, self._stretch
-        super().__init__(outputs, self._spectra, self._stretch)
+        super().__init__(outputs, self._spectra, self._stretch[0])
         self._best = np.zeros(len(self._gains))
 
+    def _windowed(self, values: Array) -> ComplexArray:
+        """DFT of signals (trial, time, group) with the window and with its derivative, (2, trial, group, frequency)."""
+        return np.stack([self._spectra(values, order) for order in range(2)])
+
     def _velocity(self, saturation: float) -> ComplexArray:
-        """DFT of what spindles make of the speed of the groups, (trial, group, frequency)."""
+        """What spindles make of the speed of the groups, as `_windowed` gives it."""
         if self._seen_at[0] != saturation:
-            self._seen_at = saturation, self._spectra(self._speed / (1.0 + saturation * np.abs(self._speed)))
+            self._seen_at = saturation, self._windowed(self._speed / (1.0 + saturation * np.abs(self._speed)))
         return self._seen_at[1]
 
+    def _delays(self, values: Array) -> Array:
+        """From rotation to EMG [s], (joint, 1)."""
+        return np.asarray(values[DELAY] - self._delay)[:, None]
+
     def _late(self, values: Array) -> ComplexArray:
-        return np.asarray(np.exp(-self._s * (values[DELAY] - self._delay)[:, None]))
+        return np.asarray(np.exp(-self._s * self._delays(values)))
 
     def _seen(self, values: Array, trials: slice = ALL) -> ComplexArray:
         """What reflexes see, as late as EMG shows it, (trial, joint, frequency)."""
-        velocity, stretch = self._velocity(values[SATURATION])[trials], self._stretch[trials]
+        velocity, stretch = self._velocity(values[SATURATION])[:, trials], self._stretch[:, trials]
         of_groups = values[VELOCITY][:, None] * velocity + values[POSITION][:, None] * stretch
-        return self._of_joints(of_groups) * self._late(values)
+        return self._made_late(self._of_joints(of_groups), values)
+
+    def _made_late(self, windowed: ComplexArray, values: Array) -> ComplexArray:
+        """Signals of the joints, (2, trial, joint, frequency), by their delays under a window that stays."""
+        return np.asarray((windowed[0] + self._delays(values) * windowed[1]) * self._late(values))
 
     def _of_joints(self, of_groups: ComplexArray) -> ComplexArray:
         return np.stack([of_groups[..., list(groups), :].sum(axis=-2) for groups in GROUPS_OF_JOINT], axis=-2)
@@ -139,19 +151,20 @@ class SpindleEmg(GainsOfJoints):
         return self._mixed(self._seen(values, trials), values[N_REFLEX:])
 
     def _slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, ComplexArray]]:
-        late, gains = self._late(values), values[N_REFLEX:]
+        gains, speed = values[N_REFLEX:], self._speed
         velocity, seen = self._velocity(values[SATURATION]), self._seen(values)
-        size = np.abs(self._speed)
-        by_saturation = self._spectra(-self._speed * size / (1.0 + values[SATURATION] * size) ** 2)
+        by_saturation = self._windowed(-speed * np.abs(speed) / (1.0 + values[SATURATION] * np.abs(speed)) ** 2)
         changes = np.zeros((N_REFLEX, *seen.shape), dtype=complex)
         for group in range(3):
-            for joint, groups in enumerate(GROUPS_OF_JOINT):
-                if group in groups:
-                    changes[group, :, joint] = velocity[:, group] * late[joint]
-                    changes[3 + group, :, joint] = self._stretch[:, group] * late[joint]
-        changes[SATURATION] = self._of_joints(values[VELOCITY][:, None] * by_saturation) * late
+            alone = np.eye(3)[group][:, None]
+            for first, signals in ((VELOCITY.start, velocity), (POSITION.start, self._stretch)):
+                changes[first + group] = self._made_late(self._of_joints(alone * signals), values)
+        of_speed = self._of_joints(values[VELOCITY][:, None] * by_saturation)
+        changes[SATURATION] = self._made_late(of_speed, values)
+        of_groups = values[VELOCITY][:, None] * velocity[1] + values[POSITION][:, None] * self._stretch[1]
+        later = self._of_joints(of_groups) * self._late(values) - self._s * seen
         for joint in range(2):
-            changes[DELAY.start + joint, :, joint] = -self._s * seen[:, joint]
+            changes[DELAY.start + joint, :, joint] = later[:, joint]
         of_gains = [self._mixed(seen, np.eye(len(gains))[k]) for k in range(len(gains))]
         derivatives = np.concatenate([self._mixed(changes, gains), of_gains])
         yield ALL, np.einsum("pk,ptof->ktof", mixing, derivatives)

@@ -20,14 +20,16 @@ OTHERS = {"g_b": 0.012, "g_sb": 0.005, "g_eb": 0.006}
 FREE = ("kv_s", "kv_se", "kv_e", "kp_s", "kp_se", "kp_e", "Td_s", "Td_e")
 
 
-def outputs(noise=0.02, lag=0.0, of_handle=False):
+def outputs(noise=0.02, lag=0.0, of_handle=False, from_rest=False, seed=0):
     """Differences of antagonists, made in the time domain, ten times as finely as they are sampled."""
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed)
     fine = 10 * RATE
     band = signal.butter(2, (0.5, 8.0), "bandpass", fs=fine, output="sos")
     q = signal.sosfiltfilt(band, rng.standard_normal((N_TRIALS, 2, 10 * N)))
     q *= 0.02 / q.std()
     time = np.arange(10 * N) / fine
+    if from_rest:
+        q *= 0.5 - 0.5 * np.cos(np.pi * np.minimum(time, 1.0))
     kv, kp = (
         np.array([[getattr(ARM, f"{k}_{j}") for j in row] for row in (("s", "se"), ("se", "e"))]) for k in ("kv", "kp")
     )
@@ -57,7 +59,7 @@ def outputs(noise=0.02, lag=0.0, of_handle=False):
         grip_load=load,
         rate=RATE,
         averaging=1e-6,
-        from_rest=False,
+        from_rest=from_rest,
     )
 
 
@@ -106,6 +108,15 @@ def test_gains_of_reflexes_and_delays_are_those_that_made_the_emg():
     fit = likelihood.lack_of_fit(start + mixing(likelihood, free) @ (values - mixing(likelihood, free).T @ start))
     assert fit.p_value > 0.01
     assert likelihood.lack_of_fit(at(likelihood, replace(ARM, Td_s=0.045))).p_value < 1e-6
+
+
+@pytest.mark.parametrize("from_rest", [False, True])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_feedback_is_right_though_the_arm_still_moves_where_the_window_fades(from_rest, seed):
+    """With next to no noise: derivatives and delays of what is windowed are not those of the rotation."""
+    likelihood = EmgLikelihood(outputs(noise=1e-4, from_rest=from_rest, seed=seed), ElectromechanicalDelay())
+    values, _ = steps(likelihood, at(likelihood), FREE)
+    np.testing.assert_allclose(values, mixing(likelihood).T @ at(likelihood), rtol=3e-3)
 
 
 def test_a_grip_that_gives_way_is_taken_out_of_the_handle():

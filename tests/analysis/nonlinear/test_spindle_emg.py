@@ -22,7 +22,7 @@ GAINS = (0.08, 0.09, 0.06, 0.07)
 
 
 def rotations(n_trials, seed, seconds=30.0, top=12.0):
-    """Smooth rotations of both joints that begin and end at rest, and their velocities, (trial, time, joint)."""
+    """Smooth rotations of both joints that begin and end in the usual posture, and velocities, (trial, time, joint)."""
     rng = np.random.default_rng(seed)
     time = np.arange(round(10 * seconds * RATE)) / (10 * RATE)  # finely, so that velocities are right
     lines = np.arange(2, round(top * seconds))
@@ -63,7 +63,7 @@ def test_slopes_are_those_of_the_cost(person):
     reflexes = at(person, 2)
     emg.weigh_at(reflexes)
     changes = np.zeros((N_REFLEX, 2, N_REFLEX))
-    steps = 1e-3 * np.maximum(np.abs(reflexes[0]), 1e-2)
+    steps = 1e-4 * np.maximum(np.abs(reflexes[0]), 1e-2)
     changes[range(N_REFLEX), :, range(N_REFLEX)] = 1.0
     _, slope = emg.normal_at(reflexes, changes)
     for place in range(N_REFLEX):
@@ -75,7 +75,7 @@ def test_slopes_are_those_of_the_cost(person):
 @pytest.mark.slow(reason="repeats estimates on many records")
 def test_errors_are_as_large_as_the_information_says():
     """Of position feedback, saturation and delay; the common size of feedback and gains is not known, and held."""
-    angle, velocity = rotations(2, 1, seconds=20.0)
+    angle, velocity = rotations(2, 7, seconds=20.0)
     free = [3, 4, 5, 6, 7, 8]
     changes = np.zeros((len(free), 2, N_REFLEX))
     changes[range(len(free)), :, free] = 1.0
