@@ -83,12 +83,14 @@ class Response(Command):
         except ValueError as error:
             raise ValueError(f"{', '.join(map(str, self.recordings))}: {error}") from None
         lines.append(_manipulator(trials[0], was_used=estimate.environment is not None))
+        lines.extend(remark for remark in estimate.remarks if remark not in lines)
         if estimate.covariance is None:
             lines.append(f"no uncertainty: {method} needs more trials for an estimate of it")
         if method == "multisine" and self.what == "arm":
             try:
                 distortion = best_linear(trials, **options)
                 lines.append(distortion.describe().facts[0])
+                lines.extend(remark for remark in distortion.response.remarks if remark not in lines)
             except ValueError as error:
                 lines.append(f"nonlinear distortion: not estimated ({error})")
         self._write({"response": estimate, "distortion": distortion})

@@ -161,9 +161,9 @@ class GainsOfJoints(Whittle):
     def __init__(self, outputs: ReflexOutputs, spectra: EmgSpectra, cause: ComplexArray, law: Law = TORQUE) -> None:
         frequency = spectra.frequency
         self._s = s = 2j * np.pi * frequency
-        one, none = np.ones_like(s), np.zeros_like(s)
+        ones, zeros = np.ones_like(s), np.zeros_like(s)
         # Powers of s with their derivatives over the factorials of their orders, (power, order, frequency).
-        self._powers = np.array([[one, none, none], [s, one, none], [s**2, 2.0 * s, one]])
+        self._powers = np.array([[ones, zeros, zeros], [s, ones, zeros], [s**2, 2.0 * s, ones]])
         # Each gain, and of which output and component it is.
         self._gains = [
             (output, component)

@@ -57,12 +57,25 @@ def departures(structure: Structure, truth: Subject) -> tuple[str, ...]:
             f"identify --model {structure.name} fixes {_beside(published, truth)}: what is said here holds with "
             f"--fix {fixes} only"
         )
+    if "i_s" not in structure.free and (rigid := _mass_beside_points(truth)):
+        remarks.append(
+            f"identify --model {structure.name} takes segments for point masses in their middle, which those of "
+            f"{truth.name!r} are not ({rigid}): what is said here holds where that is known alone; without --model, "
+            "inertia is free"
+        )
     if truth.muscle is not None:
         remarks.append(
             f"no model has the [muscle] of {truth.name!r}: values and errors are those of the linear arm that the "
             "other parameters make"
         )
     return tuple(remarks)
+
+
+def _mass_beside_points(truth: Subject) -> str:
+    """What an arm has in place of point masses in the middle of segments; "" if it has these."""
+    point = {name: default for name, default in truth.LEFT_OUT.items() if name != "muscle"}
+    values = {name: getattr(truth, name) for name in point}
+    return ", ".join(f"{name} = {value:.3g}" for name, value in values.items() if not np.isclose(value, point[name]))
 
 
 def _different(values: Mapping[str, float], nearest: Array, truth: Subject) -> dict[str, float]:

@@ -32,6 +32,7 @@ from armperturb.analysis.nonlinear.prediction import (
     predict_pulses,
     predict_pulses_linearly,
     remarks_on_peaks,
+    remarks_on_windows,
 )
 from armperturb.analysis.nonlinear.result import NonlinearEstimate
 from armperturb.analysis.nonlinear.spindle_emg import usable_emg
@@ -249,7 +250,7 @@ def identify_nonlinear(
         pulses["nonlinear"] += predict_pulses(trials, estimate.subject(trials.body.task, trials.label))
         pulses["linear"] += predict_pulses_linearly(trials, arm)
         pulses["skeletal"] += predict_pulses(trials, arm)
-    remarks += remarks_on_peaks(pulses["nonlinear"])
+    remarks += [*remarks_on_windows(left_out), *remarks_on_peaks(pulses["nonlinear"])]
     return NonlinearIdentification(
         estimate=replace(estimate, remarks=(*remarks, *estimate.remarks)),
         choice=choice,

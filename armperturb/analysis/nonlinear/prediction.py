@@ -1,6 +1,6 @@
 """Pulses as a fitted person, linear or not, predicts them (thesis 2.8)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -9,6 +9,7 @@ import pandas as pd
 import xarray as xr
 
 from armperturb.analysis.arm.state_space import simulate_linear
+from armperturb.analysis.force_balance import EDGE
 from armperturb.analysis.measures.pulse import WINDOWS, is_cut, peak_norm
 from armperturb.analysis.results import Description, Result
 from armperturb.analysis.trials import ConditionTrials
@@ -125,6 +126,19 @@ def predict_pulses_linearly(recorded: ConditionTrials, arm: Subject) -> list[Pul
     force = recorded.drive[trials, : int(ends.max())]
     response = simulate_linear(arm, recorded.environment, force, recorded.rate).displacement
     return _compared(recorded, trials, ends, response)
+
+
+def remarks_on_windows(left_out: Iterable[ConditionTrials]) -> list[str]:
+    """A line on left-out pulses whose window is not recorded, and which are not predicted; none if there are none."""
+    counts = [(sum(trials.onset < trials.n_samples), len(_with_window(trials)[0])) for trials in left_out]
+    n_pulses, n_predicted = map(int, np.sum(counts or [(0, 0)], axis=0))
+    if n_predicted == n_pulses:
+        return []
+    seconds = " and ".join(f"{window + EDGE:g} s in {task}" for task, window in WINDOWS.items())
+    return [
+        f"{n_pulses - n_predicted} of {n_pulses} left-out pulses are not predicted, as the record ends too early or "
+        f"the handle met the workspace limit; expected {seconds} after the onset"
+    ]
 
 
 def _with_window(recorded: ConditionTrials) -> tuple[list[int], Indices]:

@@ -8,6 +8,7 @@ from typing import Any
 from armperturb.analysis.fit.maximum_likelihood import LARGE_LACK, SUSPICIOUS
 from armperturb.analysis.nonlinear.identify import NonlinearIdentification
 from armperturb.analysis.nonlinear.result import NonlinearEstimate
+from armperturb.analysis.nonlinear.search import MOST_SPREAD
 from armperturb.analysis.page import figures
 from armperturb.analysis.page.data_check import DataCheck, check_data
 from armperturb.analysis.page.page import WORDS, Origin, parameter_rows
@@ -94,6 +95,13 @@ def _of_fit(estimate: NonlinearEstimate) -> Verdict:
     if not estimate.converged:
         return Verdict("reject", f"The search did not end at an optimum ({estimate.message}).")
     left = {label: test for label, test in estimate.lack_of_fit.items() if test.p_value < SUSPICIOUS}
+    apart = [f"{quantity} [{task}]" for (task, quantity), sd in estimate.spread.items() if sd >= MOST_SPREAD]
+    if apart and not left:
+        return Verdict(
+            "care",
+            f"Trials differ by {100.0 * MOST_SPREAD:.0f} % or more in {', '.join(apart)}, or the {law} law is wrong, "
+            "which intervals do not count.",
+        )
     if not left:
         return Verdict("trust", f"The {law} law leaves nothing that the perturbation explains.")
     label, worst = max(left.items(), key=lambda each: each[1].chi2 / each[1].dof)

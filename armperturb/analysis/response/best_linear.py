@@ -50,7 +50,7 @@ from armperturb.analysis.response.local_polynomial import (
     whole_window,
     without,
 )
-from armperturb.analysis.response.multisines import HIGHEST_ORDER, periodic_trials
+from armperturb.analysis.response.multisines import HIGHEST_ORDER, NARROW, Periodic, periodic_trials
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.analysis.trials import SeveralTrials, TrialRecord, prepared_condition
 from armperturb.arrays import Array
@@ -64,6 +64,10 @@ Impedance = Callable[[Array], ComplexArray]
 
 ORDER = {1: 0, 2: 1}
 """Number of trials to the order of the response's polynomial over a cluster; `HIGHEST_ORDER` of more trials."""
+
+WIDEST = (1.25, 0.45)
+"""Width of a group of lines up to which a response that bends is hardly taken for distortion: [Hz], and relative to the
+frequency where that is more [-]."""
 
 LARGEST_ERROR = 0.3
 """Error of the response over its size from which on its inverse is of no use [-]."""
@@ -102,7 +106,7 @@ class BestLinear(Result):
       distortion_error: standard error that it has if the arm is linear, (frequency, output).
       statistic: distortion over its standard error, of all frequencies and outputs together, each weighed by its noise
         and by how fast the linear response moves [-]; of linear arms standard normal.
-      n_periods: periods per trial, with parts, (trial,).
+      n_periods: periods per trial, with parts, (trial,); several short ones count as one.
     """
 
     response: FrequencyResponse
@@ -217,10 +221,21 @@ def best_linear(
     """
     several = prepared_condition(recordings)
     require_two_axes(several[0].recording)
-    trials = periodic_trials(several, period=period, window_start=window_start, lines_per_average=lines_per_average)
+    trials = periodic_trials(
+        several, period=period, window_start=window_start, lines_per_average=lines_per_average, shortest=SHORTEST
+    )
     shortest = min(map(len, trials.groups))
     if shortest < 3:
-        raise ValueError(f"a group has {shortest} excited lines; expected at least 3 (more lines per average)")
+        mend = "more lines per average" if lines_per_average < 3 else "a multisine whose lines are closer together"
+        raise ValueError(f"a group has {shortest} excited lines; expected at least 3 ({mend})")
+    for group in trials.groups:
+        width, middle = float(np.ptp(group)) / trials.period, float(group.mean()) / trials.period
+        if width > max(WIDEST[0], WIDEST[1] * middle):
+            raise ValueError(
+                f"lines that tell distortion together are {width:.3g} Hz apart near {middle:.3g} Hz; expected at most "
+                f"{WIDEST[0]:g} Hz, over which a linear response hardly bends (a multisine of a longer period, whose "
+                "lines are closer together)"
+            )
     n_period = trials.period * trials.rate
     n_periods = np.array([1.0 + sum(map(len, trial.contrasts)) / n_period for trial in trials.trials])
     # What differs between periods, where it is long enough to tell of noise.
@@ -233,6 +248,11 @@ def best_linear(
         )
     order = ORDER.get(len(trials.trials), HIGHEST_ORDER)
     fits = trials.fit(order, own_levels=True)
+    if min(fit.excited_dof for fit in fits) < 0.5:
+        raise ValueError(
+            f"{shortest} lines of {len(trials.trials)} trials are all taken by the response; expected more lines per "
+            "average, or more trials"
+        )
     windows = [trials.windows(group) for group in trials.groups]
     response = frequency_response(fits, "arm", [(fit.excited_noise, fit.excited_dof) for fit in fits])
     around, own_fits = _own_forces(windows, fits, response, order)
@@ -279,7 +299,7 @@ def best_linear(
             response,
             label=named([part.recording for part in several]),
             labels=labels_of(several[0].recording),
-            remarks=copies_left_out(several),
+            remarks=(*copies_left_out(several), *trials.remarks, *_on_single_trials(trials)),
         ),
         linear=np.array(linear),
         noise=np.array(noise),
@@ -288,6 +308,13 @@ def best_linear(
         statistic=float(np.dot(weight, excess) / np.sqrt(np.dot(weight, speed))),
         n_periods=n_periods,
     )
+
+
+def _on_single_trials(trials: Periodic) -> tuple[str, ...]:
+    """A remark where the response is taken for constant over groups of lines that are wide."""
+    if len(trials.trials) > 1 or not any(np.ptp(group) > NARROW * group.mean() for group in trials.groups):
+        return ()
+    return ("of a single trial, an arm whose response bends within a group of lines passes for a nonlinear one",)
 
 
 def _own_forces(

@@ -47,15 +47,21 @@ def condition_spectra(
     Args:
       parts: trials of one condition, those of one length together.
       window_start: start of the window of whole periods [s].
-      period: of the disturbance [s]; None to find it. Where there is none, or no whole period from `window_start` on,
-        whole records are used, see `closed_loop.estimate_noise`.
+      period: of the disturbance [s]; None to find it. Where there is none, no whole period from `window_start` on, or
+        its lines do not tell the response, whole records are used, see `closed_loop.estimate_noise`.
       lines_per_average: of whole periods, see `estimate_spectra`.
 
     Raises:
       ValueError: as `averaged_spectra` with a stated period, and as `estimate_noise` otherwise.
     """
     if periodic_lines(parts, window_start, period) is not None:
-        return averaged_spectra(parts[0], window_start=window_start, period=period, lines_per_average=lines_per_average)
+        try:
+            return averaged_spectra(
+                parts[0], window_start=window_start, period=period, lines_per_average=lines_per_average
+            )
+        except ValueError:
+            if period is not None:
+                raise
     key = ("whole records", tuple(parts))
     if key not in parts[0].results:
         parts[0].results[key] = _of_whole_records(parts)

@@ -129,11 +129,11 @@ class DependentDisturbancesError(ValueError):
     """
 
     def __init__(self, frequency: float, are_proportional: bool) -> None:
-        more_lines = "" if are_proportional else ", more lines per average of multisines, or the method arx"
+        more_lines = "" if are_proportional else ", more lines per average of multisines"
         super().__init__(
             f"the disturbances along x and y are not independent at {frequency:.3f} Hz; expected independent "
             "disturbances (other realisations, one trial for each direction, or the sign of y turned in half of the "
-            f"trials{more_lines})"
+            f"trials{more_lines}, or the method arx)"
         )
         self.frequency = frequency
 

@@ -55,8 +55,14 @@ HIGHEST_ORDER = 2
 APART = 4
 """Lines of the transform from one excited line to the next, where trials hold as many periods as that takes."""
 
-INDEPENDENT = 0.2
-"""Smallest over largest singular value of disturbances that tell two responses from each other [-]."""
+INDEPENDENT, DEPENDENT = 0.2, 0.01
+"""Smallest over largest singular value of disturbances that tell two responses from each other, and that do not [-]."""
+
+MOST_SAMPLES = 0.75
+"""Share of the samples that must be in trials of so many periods for these to be taken together [-]."""
+
+FOR_SECOND_ORDER = 12
+"""Excited lines of all trials together from which on a group has a polynomial of second order."""
 
 N_QUIET = 12
 """Quiet lines beside a cluster that tell its leakage and noise, on both sides together."""
@@ -96,6 +102,7 @@ class Periodic(NamedTuple):
       groups: excited lines that share a polynomial, numbers.
       period: [s].
       rate: of the samples [Hz].
+      remarks: on trials and lines that are left out.
     """
 
     trials: tuple[Periods, ...]
@@ -103,6 +110,7 @@ class Periodic(NamedTuple):
     groups: tuple[NDArray[np.int64], ...]
     period: float
     rate: float
+    remarks: tuple[str, ...] = ()
 
     def replaced(self, answer: Answer) -> "Periodic":
         """The same with what a function makes of frequency, D and (F, X) of each trial in place of the latter."""
@@ -157,7 +165,13 @@ def _determined(windows: list[Window], centre: float, choices: list[list[int]], 
 
 
 def periodic_trials(
-    recordings: SeveralTrials, *, period: float | None, window_start: float, lines_per_average: int, apart: int = 1
+    recordings: SeveralTrials,
+    *,
+    period: float | None,
+    window_start: float,
+    lines_per_average: int,
+    apart: int = 1,
+    shortest: float = 0.0,
 ) -> Periodic:
     """Mean periods and what differs between them.
 
@@ -167,12 +181,15 @@ def periodic_trials(
       window_start: start of what is used [s].
       lines_per_average: excited lines in a group, where there are as many without a wider gap than between the closest
         two; more where quiet lines are too few to tell leakage and noise, or the band is wide; fewer where they are far
-        apart, and each tells the responses along x and y.
-      apart: several periods count as one, until excited lines are so many lines apart or trials hold no more.
+        apart, each tells the responses along x and y, and `apart` is above 1.
+      apart: several periods count as one, until excited lines are so many lines apart or most trials hold no more;
+        shorter trials are left out.
+      shortest: several periods count as one likewise, until they last so long [s].
 
     Raises:
       ValueError: as `records_of`; or a trial is shorter than a period, the disturbance is not periodic, or the period
         is not a whole number of samples.
+      DependentDisturbancesError: most lines tell nothing of the response along one direction.
     """
     require_number("periodic_trials", "lines_per_average", lines_per_average, at_least=1)
     several = prepared_recordings(recordings)
@@ -194,11 +211,37 @@ def periodic_trials(
                 "(without --period it is found; for noise there is --method noise)"
             )
     trials, excited = _mean_periods(records, n)
-    together = min(-(-apart // _closest(excited)), min(len(record.perturbation) for record in records) // n)
+    wanted = max(-(-apart // _closest(excited)), int(np.ceil(shortest / period)))
+    n_held, n_samples = np.array([[len(record.perturbation) // n, len(record.perturbation)] for record in records]).T
+    enough = [k for k in range(1, wanted + 1) if n_samples[n_held >= k].sum() > MOST_SAMPLES * n_samples.sum()]
+    together = max(enough, default=1)
+    remarks: tuple[str, ...] = ()
     if together > 1:
-        trials, excited = _mean_periods(records, together * n)
+        if n_short := int(np.sum(n_held < together)):
+            remarks = (
+                f"{n_short} of {len(records)} trials hold fewer than {together} periods of {period:g} s, and are left "
+                "out: so many are taken together",
+            )
+        trials, excited = _mean_periods([records[k] for k in np.flatnonzero(n_held >= together)], together * n)
         period *= together
-    return Periodic(trials, excited, _groups(excited, trials, lines_per_average, period), period, rate)
+    groups = _groups(excited, trials, lines_per_average, period, is_fine=apart > 1)
+    telling = [_independence(trials, group) > DEPENDENT for group in groups]
+    if (n_dumb := telling.count(False)) and 2 * n_dumb >= len(groups):
+        first = groups[telling.index(False)].mean() / period
+        raise DependentDisturbancesError(float(first), not _independence(trials, excited) > DEPENDENT)
+    if n_dumb:
+        remarks += (
+            f"{n_dumb} of {len(groups)} groups of lines are left out, in which the perturbation has one direction "
+            "alone (the method arx needs no lines)",
+        )
+    groups = tuple(group for group, tells in zip(groups, telling, strict=True) if tells)
+    return Periodic(trials, excited, groups, period, rate, remarks)
+
+
+def _independence(trials: Sequence[Periods], lines: NDArray[np.int64]) -> float:
+    """Smallest over largest singular value of what is pushed along x and y at these lines [-]."""
+    large = np.linalg.svd(np.concatenate([trial.perturbation[lines] for trial in trials]), compute_uv=False)
+    return float(large[-1] / large[0]) if len(large) == N_INPUTS else 0.0
 
 
 def _mean_periods(records: Sequence[TrialRecord], n: int) -> tuple[tuple[Periods, ...], NDArray[np.int64]]:
@@ -245,13 +288,14 @@ def _mean_period(record: TrialRecord, n: int) -> Periods:
 
 
 def _groups(
-    excited: NDArray[np.int64], trials: Sequence[Periods], size: int, period: float
+    excited: NDArray[np.int64], trials: Sequence[Periods], size: int, period: float, *, is_fine: bool
 ) -> tuple[NDArray[np.int64], ...]:
     """Excited lines that share a polynomial.
 
     Long runs have no quiet lines around, or many lines that single ones would be too noisy for: groups are as large as
-    the leakage asks for, and grow with frequency. Lines that are far apart share one only within half the band that
-    noise has, as the response bends over more, if each tells what x and y do.
+    the leakage asks for, and grow with frequency. Lines that are far apart are finely divided, if that is asked for and
+    each tells what x and y do: they share a polynomial only within half the band that noise has, as the response bends
+    over more, and only where it may be of second order.
     """
     closest = _closest(excited)
     runs = np.split(excited, np.flatnonzero(np.diff(excited) > 2 * closest) + 1)
@@ -259,21 +303,36 @@ def _groups(
     groups: list[NDArray[np.int64]] = []
     for run in runs:
         is_wide = np.ptp(run) / period > 2.0 * HALF_WIDTH[0]
-        is_each_alone = closest >= APART - 1 and is_wide and _tell_both(trials, run)
-        if len(run) <= N_QUIET and not is_each_alone:
+        if is_fine and closest >= APART - 1 and is_wide and _tell_both(trials, run):
+            groups += _fine_groups(run, len(trials), size, period)
+            continue
+        if len(run) <= N_QUIET:
             groups += np.array_split(run, max(1, len(run) // size))
             continue
         least = max(size, int(np.ceil(equations / len(trials)))) if closest == 1 else size
         while len(run):
-            if is_each_alone:
-                half = max(HALF_WIDTH[0], HALF_WIDTH[1] * run[0] / period)
-                least = min(size, 1 + int(half * period / closest))
             count = max(least, round(2 * HALF_WIDTH[1] * run[0] / closest))
             if len(run) < 2 * count:
                 count = len(run)
             groups.append(run[:count])
             run = run[count:]
     return tuple(groups)
+
+
+def _fine_groups(run: NDArray[np.int64], n_trials: int, size: int, period: float) -> list[NDArray[np.int64]]:
+    """Lines within bands over which the response hardly bends."""
+    groups = []
+    while len(run):
+        within, half = (run - run[0]) / period, max(HALF_WIDTH[0], HALF_WIDTH[1] * run[0] / period)
+        count = max(
+            min(size, int(np.sum(within <= half))), int(np.sum(within < 2 * HALF_WIDTH[1] * run[0] / period)), 1
+        )
+        if within[count - 1] > HALF_WIDTH[0] and count * n_trials < FOR_SECOND_ORDER:
+            # Of two trials, a line alone is as uncertain as the response that it has.
+            count = 1 if n_trials > N_INPUTS else max(1, int(np.sum(within <= half)))
+        groups.append(run[:count])
+        run = run[count:]
+    return groups
 
 
 def _tell_both(trials: Sequence[Periods], lines: NDArray[np.int64]) -> bool:
@@ -331,7 +390,7 @@ def estimate_multisine(
         (fit.excited_noise, fit.excited_dof) if fit.excited_dof >= LEAST_DOF else (fit.noise, fit.dof) for fit in fits
     ]
     estimate = frequency_response(fits, what, noises, environment).at(frequency)
-    return replace(estimate, remarks=_on_distance(trials))
+    return replace(estimate, remarks=(*trials.remarks, *_on_distance(trials)))
 
 
 def _on_distance(trials: Periodic) -> tuple[str, ...]:
@@ -348,6 +407,6 @@ def _on_distance(trials: Periodic) -> tuple[str, ...]:
     gap, low, high = (value / trials.period for value in (_closest(trials.excited), wide[0][0], wide[-1][-1]))
     return (
         f"lines of the perturbation are {gap:.3g} Hz apart, and single ones do not tell what x and y do: from "
-        f"{low:.3g} to {high:.3g} Hz neighbours share a point, over which the response may bend, and circles hold too "
-        "little (record trials with other phases along x and y, or use --method arx)",
+        f"{low:.3g} to {high:.3g} Hz neighbours share a point, over which the response may bend by tens of percent, "
+        "and circles hold too little (record trials with other phases along x and y, or use --method arx)",
     )

@@ -5,6 +5,7 @@ import pytest
 
 from armperturb.analysis.fit.structures import STRUCTURES
 from armperturb.analysis.fit.truth import at_truth, departures
+from armperturb.anthropometry import anthropometric_body
 from armperturb.cohort import draw_person
 from armperturb.muscle_law import MuscleLaw
 from armperturb.subject import POSITION, RELAX
@@ -52,3 +53,11 @@ def test_what_is_fixed_beside_the_truth_on_purpose_is_named():
 def test_a_muscle_law_is_in_no_model():
     (muscle,) = remarks("3b", replace(POSITION, muscle=MuscleLaw()))
     assert muscle.startswith("no model has the [muscle] of 'position'")
+
+
+def test_segments_that_are_no_point_masses_are_named():
+    (mass,) = remarks("1", replace(RELAX, **anthropometric_body("male", 1.8, 75.0)))
+    assert mass.startswith(
+        "identify --model 1 takes segments for point masses in their middle, which those of 'relax' "
+    )
+    assert "c_h = " in mass

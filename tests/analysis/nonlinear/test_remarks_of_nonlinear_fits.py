@@ -31,6 +31,9 @@ class Fitted:
 
     remarks: tuple[str, ...] = ()
 
+    def subject(self, task, condition):
+        return PERSON
+
 
 @pytest.fixture(autouse=True)
 def models(monkeypatch):
@@ -101,3 +104,14 @@ def test_what_cannot_be_free_is_refused_before_anything_is_fitted(recording, mon
     monkeypatch.setattr(identify, "linear_arms", lambda *_, **__: pytest.fail("fitted before"))
     with pytest.raises(ValueError, match=message):
         ap.identify_nonlinear(recording, law, free=free)
+
+
+@pytest.mark.slow(reason="starts a nonlinear fit")
+def test_left_out_pulses_whose_end_is_not_recorded_are_a_remark(recording):
+    onset = float(recording["time"][-1]) - 1.4
+    pulsed = recording.assign_coords(
+        pulse_onset=("trial", [onset]), pulse_level=("trial", [1.0]), pulse_direction=("trial", [20.0])
+    )
+    (remark,) = [line for line in ap.identify_nonlinear(pulsed).estimate.remarks if "left-out pulses" in line]
+    assert remark.startswith("1 of 1 left-out pulses are not predicted, as the record ends too early")
+    assert "1.5 s in RT after the onset" in remark

@@ -12,13 +12,14 @@ GAIN = Imbalance("gain", "force appears to be 6 % too large", 0.9, 0.06)
 LATE = Imbalance("displacement", "displacement is recorded 10 ms later", 0.99, 0.01, 1e-2, 1e-5)
 
 
-def judged(*imbalances, chi2=100.0, converged=True, error=0.004):
+def judged(*imbalances, chi2=100.0, converged=True, error=0.004, spread=0.1):
     estimate = SimpleNamespace(
         converged=converged,
         message="the arm has a limit cycle",
         model=SimpleNamespace(law="full"),
         values={"m_h": 1.8, "k.shoulder": 8.0, "recovery_time": 1.0},
         standard_error={"m_h": 1.0, "k.shoulder": 8.0 * error, "recovery_time": 1e-6},
+        spread={("PT", "kv"): 0.1, ("PT", "b"): spread},
         lack_of_fit={"small": LackOfFit(100.0, 100), "large": LackOfFit(chi2, 100)},
     )
     checks = {str(place): SimpleNamespace(imbalance=each) for place, each in enumerate((None, *imbalances))}
@@ -39,6 +40,7 @@ def judged(*imbalances, chi2=100.0, converged=True, error=0.004):
             "reject",
             "over its degrees of freedom 3.00, p < 0.001): the law is wrong, or the signals are",
         ),
+        ({"spread": 0.5}, "care", "Trials differ by 50 % or more in b [PT], or the full law is wrong"),
         ({"converged": False}, "reject", "The search did not end at an optimum (the arm has a limit cycle)."),
     ],
 )

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from armperturb.analysis.fit.identify import identify
+from armperturb.analysis.response.best_linear import best_linear
 from armperturb.analysis.response.estimate import response
 from armperturb.recording import make_recording
 
@@ -74,3 +76,41 @@ def test_lines_of_one_axis_each_are_pooled_and_that_is_said():
     truth = np.linalg.inv(load(found.frequency))
     far = found.frequency > 6.0
     assert np.abs(found.response - truth)[far].max() < 0.1 * np.abs(truth)[far].max()
+
+
+def test_a_short_trial_is_left_out_and_costs_no_points():
+    long, short = recorded(0, (ALL, ALL)), recorded(1, (ALL, ALL), n_trials=1, seconds=4.5)
+    alone, both = response(long, "multisine"), response([long, short], "multisine")
+    np.testing.assert_array_equal(both.response, alone.response)
+    assert "1 of 5 trials hold fewer than 4 periods of 2 s, and are left out" in both.remarks[-1]
+
+
+def test_lines_that_push_in_one_direction_alone_tell_no_response():
+    """Each stands alone, so that noise of the perturbation would pass for a push along the other axis."""
+    lines = np.unique(np.round(np.geomspace(0.3 * 20.0, 20.0 * 20.0, 30))) / 20.0
+    recording = recorded(0, (lines[::2], lines[1::2]), seconds=45.0)
+    noise = 1e-3 * np.random.default_rng(0).standard_normal(recording["perturbation"].shape)
+    for given in (recording, recording.assign(perturbation=recording["perturbation"] + noise)):
+        with pytest.raises(ValueError, match=r"x and y are not independent at .* or the method arx"):
+            response(given, "multisine")
+    assert identify(recording, "1").fit.converged  # which needs no response
+
+
+def test_lines_far_apart_tell_no_distortion():
+    """A linear response that bends between them would pass for it."""
+    with pytest.raises(ValueError, match=r"are 4\.5 Hz apart near 2\.75 Hz; expected at most 1\.25 Hz"):
+        best_linear(recorded(0, (ALL[::3], ALL[::3])))
+
+
+def test_a_single_trial_is_said_to_tell_little_of_distortion():
+    lines = np.arange(2, 400) / 20.0
+    assert "of a single trial, an arm whose response bends" in distortion_of(lines, 1).describe().remarks[-1]
+    several = distortion_of(lines, 3)
+    assert not several.describe().remarks
+    assert several.p_value > 0.01
+    with pytest.raises(ValueError, match=r"expected at most 1\.25 Hz, over which a linear response hardly bends"):
+        distortion_of(np.arange(1, 100) / 5.0, 1)
+
+
+def distortion_of(lines, n_trials):
+    return best_linear(recorded(0, (lines, lines), n_trials=n_trials, seconds=30.0))
