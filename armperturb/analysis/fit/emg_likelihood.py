@@ -147,6 +147,15 @@ class EmgSpectra(NamedTuple):
         part = (values - values.mean(axis=1, keepdims=True))[:, self.judged] * window[:, None]
         return np.asarray(fft.rfft(part, axis=1)[:, self.used].swapaxes(1, 2))
 
+    def with_jump(self, values: Array) -> list[ComplexArray]:
+        """DFT with the window and its first two derivatives, of signals that change later than the window starts.
+
+        From rest it starts at one: its derivatives hold a pulse, in which the signal is as far as it is from its mean.
+        """
+        start = (values[:, self.judged.start] - values.mean(axis=1))[..., None] * self.taper[0] * self.rate
+        s = 2j * np.pi * self.frequency
+        return [self(values), self(values, 1) + start, self(values, 2) + start * s]
+
 
 class GainsOfJoints(Whittle):
     """Likelihood of EMG that follows from what reflexes see, of each joint or of each component of a law.
@@ -160,10 +169,7 @@ class GainsOfJoints(Whittle):
 
     def __init__(self, outputs: ReflexOutputs, spectra: EmgSpectra, cause: ComplexArray, law: Law = TORQUE) -> None:
         frequency = spectra.frequency
-        self._s = s = 2j * np.pi * frequency
-        ones, zeros = np.ones_like(s), np.zeros_like(s)
-        # Powers of s with their derivatives over the factorials of their orders, (power, order, frequency).
-        self._powers = np.array([[ones, zeros, zeros], [s, ones, zeros], [s**2, 2.0 * s, ones]])
+        self._s = 2j * np.pi * frequency
         # Each gain, and of which output and component it is.
         self._gains = [
             (output, component)
@@ -206,9 +212,12 @@ class EmgLikelihood(GainsOfJoints):
     def __init__(self, outputs: ReflexOutputs, delay: ElectromechanicalDelay, law: Law = TORQUE) -> None:
         self._outputs, self.law = outputs, law
         spectra = EmgSpectra.of(outputs)
-        self._rotations = [spectra(outputs.rotation, order) for order in range(len(FEEDBACK))]
-        load = outputs.grip_load
-        self._grip_loads = None if load is None else [spectra(load, order) for order in range(len(FEEDBACK))]
+        s = 2j * np.pi * spectra.frequency
+        ones, zeros = np.ones_like(s), np.zeros_like(s)
+        # Powers of s with their derivatives over the factorials of their orders, (power, order, frequency).
+        self._powers = np.array([[ones, zeros, zeros], [s, ones, zeros], [s**2, 2.0 * s, ones]])
+        self._rotations = spectra.with_jump(outputs.rotation)
+        self._grip_loads = None if outputs.grip_load is None else spectra.with_jump(outputs.grip_load)
         self.names = tuple(name for group in outputs.groups for name in law.gains[group])
         self._delay = delay
         if delay.sd > 0.0:

@@ -130,11 +130,13 @@ def predict_pulses_linearly(recorded: ConditionTrials, arm: Subject) -> list[Pul
 
 def remarks_on_windows(left_out: Iterable[ConditionTrials]) -> list[str]:
     """A line on left-out pulses whose window is not recorded, and which are not predicted; none if there are none."""
-    counts = [(sum(trials.onset < trials.n_samples), len(_with_window(trials)[0])) for trials in left_out]
+    of_conditions = list(left_out)
+    counts = [(sum(trials.onset < trials.n_samples), len(_with_window(trials)[0])) for trials in of_conditions]
     n_pulses, n_predicted = map(int, np.sum(counts or [(0, 0)], axis=0))
     if n_predicted == n_pulses:
         return []
-    seconds = " and ".join(f"{window + EDGE:g} s in {task}" for task, window in WINDOWS.items())
+    tasks = sorted({trials.body.task for trials in of_conditions})
+    seconds = " and ".join(f"{WINDOWS[task] + EDGE:g} s in {task}" for task in tasks)
     return [
         f"{n_pulses - n_predicted} of {n_pulses} left-out pulses are not predicted, as the record ends too early or "
         f"the handle met the workspace limit; expected {seconds} after the onset"

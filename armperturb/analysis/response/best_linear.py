@@ -50,7 +50,7 @@ from armperturb.analysis.response.local_polynomial import (
     whole_window,
     without,
 )
-from armperturb.analysis.response.multisines import HIGHEST_ORDER, NARROW, Periodic, periodic_trials
+from armperturb.analysis.response.multisines import HIGHEST_ORDER, NARROW, WIDEST, Periodic, periodic_trials
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.analysis.trials import SeveralTrials, TrialRecord, prepared_condition
 from armperturb.arrays import Array
@@ -65,9 +65,9 @@ Impedance = Callable[[Array], ComplexArray]
 ORDER = {1: 0, 2: 1}
 """Number of trials to the order of the response's polynomial over a cluster; `HIGHEST_ORDER` of more trials."""
 
-WIDEST = (1.25, 0.45)
-"""Width of a group of lines up to which a response that bends is hardly taken for distortion: [Hz], and relative to the
-frequency where that is more [-]."""
+LARGEST_WIDTH = 0.45
+"""Width of a group of lines, over its frequency, up to which a response that bends is hardly taken for distortion [-],
+where that is more than `WIDEST`."""
 
 LARGEST_ERROR = 0.3
 """Error of the response over its size from which on its inverse is of no use [-]."""
@@ -230,10 +230,10 @@ def best_linear(
         raise ValueError(f"a group has {shortest} excited lines; expected at least 3 ({mend})")
     for group in trials.groups:
         width, middle = float(np.ptp(group)) / trials.period, float(group.mean()) / trials.period
-        if width > max(WIDEST[0], WIDEST[1] * middle):
+        if width > max(WIDEST, LARGEST_WIDTH * middle):
             raise ValueError(
                 f"lines that tell distortion together are {width:.3g} Hz apart near {middle:.3g} Hz; expected at most "
-                f"{WIDEST[0]:g} Hz, over which a linear response hardly bends (a multisine of a longer period, whose "
+                f"{WIDEST:g} Hz, over which a linear response hardly bends (a multisine of a longer period, whose "
                 "lines are closer together)"
             )
     n_period = trials.period * trials.rate

@@ -128,12 +128,13 @@ class DependentDisturbancesError(ValueError):
       frequency: that one [Hz].
     """
 
-    def __init__(self, frequency: float, are_proportional: bool) -> None:
-        more_lines = "" if are_proportional else ", more lines per average of multisines"
+    def __init__(self, frequency: float, are_proportional: bool, *, has_more_lines: bool = True) -> None:
+        more_lines = ", more lines per average of multisines" if has_more_lines else ""
+        others = "" if are_proportional else f"{more_lines}, or the method arx"
         super().__init__(
             f"the disturbances along x and y are not independent at {frequency:.3f} Hz; expected independent "
             "disturbances (other realisations, one trial for each direction, or the sign of y turned in half of the "
-            f"trials{more_lines}, or the method arx)"
+            f"trials{others})"
         )
         self.frequency = frequency
 

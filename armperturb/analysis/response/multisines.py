@@ -61,6 +61,12 @@ INDEPENDENT, DEPENDENT = 0.2, 0.01
 MOST_SAMPLES = 0.75
 """Share of the samples that must be in trials of so many periods for these to be taken together [-]."""
 
+WIDEST = 1.25
+"""Band of lines up to which polynomials follow the response of most arms [Hz]."""
+
+FEWEST_GROUPS = 4
+"""How many times as many groups there may be as tell of both directions."""
+
 FOR_SECOND_ORDER = 12
 """Excited lines of all trials together from which on a group has a polynomial of second order."""
 
@@ -143,7 +149,7 @@ class Periodic(NamedTuple):
             chosen = self._orders(len(group), float(np.ptp(group) / group.mean())) if order is None else (order,)
             orders = sorted({min(choice, len(group) - 1) for choice in chosen})
             windows, centre = self.windows(group), float(group.mean()) / self.period
-            lower = range(orders[0], -1, -1) if order is None else ()
+            lower = range(orders[0] - (len(orders) == 1), -1, -1) if order is None else ()
             fits.append(_determined(windows, centre, [orders, *([each] for each in lower)], own_levels))
         return fits
 
@@ -189,7 +195,7 @@ def periodic_trials(
     Raises:
       ValueError: as `records_of`; or a trial is shorter than a period, the disturbance is not periodic, or the period
         is not a whole number of samples.
-      DependentDisturbancesError: most lines tell nothing of the response along one direction.
+      DependentDisturbancesError: hardly any group of lines tells of the response along both directions.
     """
     require_number("periodic_trials", "lines_per_average", lines_per_average, at_least=1)
     several = prepared_recordings(recordings)
@@ -213,7 +219,12 @@ def periodic_trials(
     trials, excited = _mean_periods(records, n)
     wanted = max(-(-apart // _closest(excited)), int(np.ceil(shortest / period)))
     n_held, n_samples = np.array([[len(record.perturbation) // n, len(record.perturbation)] for record in records]).T
-    enough = [k for k in range(1, wanted + 1) if n_samples[n_held >= k].sum() > MOST_SAMPLES * n_samples.sum()]
+    enough = [
+        k
+        for k in range(1, wanted + 1)
+        if n_samples[n_held >= k].sum() > MOST_SAMPLES * n_samples.sum()
+        and np.sum(n_held >= k) > min(N_INPUTS, len(records) - 1)  # which tell x from y at each line
+    ]
     together = max(enough, default=1)
     remarks: tuple[str, ...] = ()
     if together > 1:
@@ -226,10 +237,14 @@ def periodic_trials(
         period *= together
     groups = _groups(excited, trials, lines_per_average, period, is_fine=apart > 1)
     telling = [_independence(trials, group) > DEPENDENT for group in groups]
-    if (n_dumb := telling.count(False)) and 2 * n_dumb >= len(groups):
-        first = groups[telling.index(False)].mean() / period
-        raise DependentDisturbancesError(float(first), not _independence(trials, excited) > DEPENDENT)
-    if n_dumb:
+    if FEWEST_GROUPS * telling.count(True) < len(groups):
+        are_proportional = not _independence(trials, excited) > DEPENDENT
+        raise DependentDisturbancesError(
+            float(groups[telling.index(False)].mean()) / period,
+            are_proportional,
+            has_more_lines=max(map(len, groups)) > 1,
+        )
+    if n_dumb := telling.count(False):
         remarks += (
             f"{n_dumb} of {len(groups)} groups of lines are left out, in which the perturbation has one direction "
             "alone (the method arx needs no lines)",
@@ -303,7 +318,7 @@ def _groups(
     groups: list[NDArray[np.int64]] = []
     for run in runs:
         is_wide = np.ptp(run) / period > 2.0 * HALF_WIDTH[0]
-        if is_fine and closest >= APART - 1 and is_wide and _tell_both(trials, run):
+        if is_fine and closest > 1 and is_wide and _tell_both(trials, run):
             groups += _fine_groups(run, len(trials), size, period)
             continue
         if len(run) <= N_QUIET:
@@ -327,7 +342,8 @@ def _fine_groups(run: NDArray[np.int64], n_trials: int, size: int, period: float
         count = max(
             min(size, int(np.sum(within <= half))), int(np.sum(within < 2 * HALF_WIDTH[1] * run[0] / period)), 1
         )
-        if within[count - 1] > HALF_WIDTH[0] and count * n_trials < FOR_SECOND_ORDER:
+        is_bent = count <= HIGHEST_ORDER or count * n_trials < FOR_SECOND_ORDER  # more than its polynomial can be
+        if within[count - 1] > HALF_WIDTH[0] and is_bent:
             # Of two trials, a line alone is as uncertain as the response that it has.
             count = 1 if n_trials > N_INPUTS else max(1, int(np.sum(within <= half)))
         groups.append(run[:count])
@@ -395,18 +411,27 @@ def estimate_multisine(
 
 def _on_distance(trials: Periodic) -> tuple[str, ...]:
     """A remark where the response is taken for smooth over lines that are far apart, and need not be."""
+    widths = [(float(group.mean()) / trials.period, float(np.ptp(group)) / trials.period) for group in trials.groups]
     wide = [
         group
-        for group in trials.groups
+        for group, (middle, width) in zip(trials.groups, widths, strict=True)
         if len(group) <= N_QUIET
-        and np.ptp(group) / trials.period > 2.0 * max(HALF_WIDTH[0], HALF_WIDTH[1] * group.mean() / trials.period)
+        and width > 2.0 * max(HALF_WIDTH[0], HALF_WIDTH[1] * middle)
         and not _tell_both(trials.trials, group)
     ]
+    closest = _closest(trials.excited)
+    mend = "record trials with other phases along x and y, or use --method arx"
+    if not wide and closest == 1 and (middle_of := [f for f, width in widths if width > max(WIDEST, f / 2.0)]):
+        return (
+            f"every line of a period of {trials.period:g} s is excited, of which trials hold hardly two: at "
+            f"{', '.join(f'{f:.3g}' for f in middle_of)} Hz lines over more than {WIDEST:g} Hz share a point, and "
+            "circles may hold too little (record longer trials, or use --method arx)",
+        )
     if not wide:
         return ()
-    gap, low, high = (value / trials.period for value in (_closest(trials.excited), wide[0][0], wide[-1][-1]))
+    gap, low, high = (value / trials.period for value in (closest, wide[0][0], wide[-1][-1]))
     return (
         f"lines of the perturbation are {gap:.3g} Hz apart, and single ones do not tell what x and y do: from "
         f"{low:.3g} to {high:.3g} Hz neighbours share a point, over which the response may bend by tens of percent, "
-        "and circles hold too little (record trials with other phases along x and y, or use --method arx)",
+        f"and circles hold too little ({mend})",
     )

@@ -20,7 +20,7 @@ OTHERS = {"g_b": 0.012, "g_sb": 0.005, "g_eb": 0.006}
 FREE = ("kv_s", "kv_se", "kv_e", "kp_s", "kp_se", "kp_e", "Td_s", "Td_e")
 
 
-def outputs(noise=0.02, lag=0.0, of_handle=False, from_rest=False, seed=0):
+def outputs(noise=0.02, lag=0.0, of_handle=False, from_rest=False, seed=0, mean=0.0):
     """Differences of antagonists, made in the time domain, ten times as finely as they are sampled."""
     rng = np.random.default_rng(seed)
     fine = 10 * RATE
@@ -29,7 +29,7 @@ def outputs(noise=0.02, lag=0.0, of_handle=False, from_rest=False, seed=0):
     q *= 0.02 / q.std()
     time = np.arange(10 * N) / fine
     if from_rest:
-        q *= 0.5 - 0.5 * np.cos(np.pi * np.minimum(time, 1.0))
+        q = (q + mean) * (0.5 - 0.5 * np.cos(np.pi * np.minimum(time, 1.0)))
     kv, kp = (
         np.array([[getattr(ARM, f"{k}_{j}") for j in row] for row in (("s", "se"), ("se", "e"))]) for k in ("kv", "kp")
     )
@@ -110,13 +110,15 @@ def test_gains_of_reflexes_and_delays_are_those_that_made_the_emg():
     assert likelihood.lack_of_fit(at(likelihood, replace(ARM, Td_s=0.045))).p_value < 1e-6
 
 
-@pytest.mark.parametrize("from_rest", [False, True])
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_feedback_is_right_though_the_arm_still_moves_where_the_window_fades(from_rest, seed):
+@pytest.mark.parametrize(("from_rest", "mean"), [(False, 0.0), (True, 0.0), (True, 0.02)])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_feedback_is_right_though_the_arm_still_moves_where_the_window_fades(from_rest, mean, seed):
     """With next to no noise: derivatives and delays of what is windowed are not those of the rotation."""
-    likelihood = EmgLikelihood(outputs(noise=1e-4, from_rest=from_rest, seed=seed), ElectromechanicalDelay())
+    made = outputs(noise=1e-4, from_rest=from_rest, seed=seed, mean=mean)
+    likelihood = EmgLikelihood(made, ElectromechanicalDelay())
     values, _ = steps(likelihood, at(likelihood), FREE)
-    np.testing.assert_allclose(values, mixing(likelihood).T @ at(likelihood), rtol=3e-3)
+    # Of an arm that is pushed aside, the level before the first answers is that of rest to first order of the delay.
+    np.testing.assert_allclose(values, mixing(likelihood).T @ at(likelihood), rtol=1.5e-2 if mean else 3e-3)
 
 
 def test_a_grip_that_gives_way_is_taken_out_of_the_handle():

@@ -57,12 +57,12 @@ def recorded(seed, lines, n_trials=4, seconds=16.0):
 ALL = np.arange(1, 2 * 20) / PERIOD
 
 
-@pytest.mark.parametrize("gap", [1, 2])
-def test_every_point_lies_near_its_lines_and_circles_hold(gap):
+@pytest.mark.parametrize(("gap", "n_trials"), [(1, 4), (2, 4), (1, 8)])
+def test_every_point_lies_near_its_lines_and_circles_hold(gap, n_trials):
     """Of forty lines, 0.5 Hz apart; of twenty."""
     held = []
     for seed in range(6):
-        found = response(recorded(seed, (ALL[::gap], ALL[::gap])), "multisine")
+        found = response(recorded(seed, (ALL[::gap], ALL[::gap]), n_trials), "multisine")
         assert len(found.frequency) >= 12
         assert not found.remarks
         held.append(found.covers(np.linalg.inv(load(found.frequency))).mean())
@@ -83,6 +83,17 @@ def test_a_short_trial_is_left_out_and_costs_no_points():
     alone, both = response(long, "multisine"), response([long, short], "multisine")
     np.testing.assert_array_equal(both.response, alone.response)
     assert "1 of 5 trials hold fewer than 4 periods of 2 s, and are left out" in both.remarks[-1]
+
+
+def test_short_trials_are_used_where_the_others_do_not_tell_x_from_y():
+    held = []
+    for seed in range(6):
+        parts = [recorded(10 * seed, (ALL, ALL), 1, 50.0), recorded(10 * seed + 1, (ALL, ALL), 2, 9.0)]
+        found = response(parts, "multisine")
+        assert len(found.frequency) >= 12
+        assert not found.remarks
+        held.append(found.covers(np.linalg.inv(load(found.frequency))).mean())
+    assert np.mean(held) > 0.91
 
 
 def test_lines_that_push_in_one_direction_alone_tell_no_response():
