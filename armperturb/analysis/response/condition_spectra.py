@@ -60,8 +60,21 @@ def condition_spectra(
                 parts[0], window_start=window_start, period=period, lines_per_average=lines_per_average
             )
         except ValueError:
-            if period is not None:
+            if period is not None or not _tells_by_whole_records(parts):
                 raise
+    return _by_whole_records(parts)
+
+
+def _tells_by_whole_records(parts: Sequence[ConditionTrials]) -> bool:
+    try:
+        _by_whole_records(parts)
+    except ValueError:
+        return False
+    return True
+
+
+def _by_whole_records(parts: Sequence[ConditionTrials]) -> SpectralEstimate:
+    """As `_of_whole_records`, stored with the trials."""
     key = ("whole records", tuple(parts))
     if key not in parts[0].results:
         parts[0].results[key] = _of_whole_records(parts)
