@@ -212,10 +212,6 @@ class EmgLikelihood(GainsOfJoints):
     def __init__(self, outputs: ReflexOutputs, delay: ElectromechanicalDelay, law: Law = TORQUE) -> None:
         self._outputs, self.law = outputs, law
         spectra = EmgSpectra.of(outputs)
-        s = 2j * np.pi * spectra.frequency
-        ones, zeros = np.ones_like(s), np.zeros_like(s)
-        # Powers of s with their derivatives over the factorials of their orders, (power, order, frequency).
-        self._powers = np.array([[ones, zeros, zeros], [s, ones, zeros], [s**2, 2.0 * s, ones]])
         self._rotations = spectra.with_jump(outputs.rotation)
         self._grip_loads = None if outputs.grip_load is None else spectra.with_jump(outputs.grip_load)
         self.names = tuple(name for group in outputs.groups for name in law.gains[group])
@@ -223,6 +219,9 @@ class EmgLikelihood(GainsOfJoints):
         if delay.sd > 0.0:
             self.names = (*self.names, DELAY_NAME)
         super().__init__(outputs, spectra, self._rotations[0], law)
+        s, ones, zeros = self._s, np.ones_like(self._s), np.zeros_like(self._s)
+        # Powers of s with their derivatives over the factorials of their orders, (power, order, frequency).
+        self._powers = np.array([[ones, zeros, zeros], [s, ones, zeros], [s**2, 2.0 * s, ones]])
 
     def under(self, law: Law) -> "EmgLikelihood":
         """The same EMG, by another law."""

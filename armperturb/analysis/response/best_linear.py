@@ -224,18 +224,7 @@ def best_linear(
     trials = periodic_trials(
         several, period=period, window_start=window_start, lines_per_average=lines_per_average, shortest=SHORTEST
     )
-    shortest = min(map(len, trials.groups))
-    if shortest < 3:
-        mend = "more lines per average" if lines_per_average < 3 else "a multisine whose lines are closer together"
-        raise ValueError(f"a group has {shortest} excited lines; expected at least 3 ({mend})")
-    for group in trials.groups:
-        width, middle = float(np.ptp(group)) / trials.period, float(group.mean()) / trials.period
-        if width > max(WIDEST, LARGEST_WIDTH * middle):
-            raise ValueError(
-                f"lines that tell distortion together are {width:.3g} Hz apart near {middle:.3g} Hz; expected at most "
-                f"{WIDEST:g} Hz, over which a linear response hardly bends (a multisine of a longer period, whose "
-                "lines are closer together)"
-            )
+    _require_close_lines(trials, lines_per_average)
     n_period = trials.period * trials.rate
     n_periods = np.array([1.0 + sum(map(len, trial.contrasts)) / n_period for trial in trials.trials])
     # What differs between periods, where it is long enough to tell of noise.
@@ -250,8 +239,8 @@ def best_linear(
     fits = trials.fit(order, own_levels=True)
     if min(fit.excited_dof for fit in fits) < 0.5:
         raise ValueError(
-            f"{shortest} lines of {len(trials.trials)} trials are all taken by the response; expected more lines per "
-            "average, or more trials"
+            f"{min(map(len, trials.groups))} lines of {len(trials.trials)} trials are all taken by the response; "
+            "expected more lines per average, or more trials"
         )
     windows = [trials.windows(group) for group in trials.groups]
     response = frequency_response(fits, "arm", [(fit.excited_noise, fit.excited_dof) for fit in fits])
@@ -308,6 +297,26 @@ def best_linear(
         statistic=float(np.dot(weight, excess) / np.sqrt(np.dot(weight, speed))),
         n_periods=n_periods,
     )
+
+
+def _require_close_lines(trials: Periodic, lines_per_average: int) -> None:
+    """Refuse groups of too few lines, or of lines between which a linear response bends.
+
+    Raises:
+      ValueError: there is such a group.
+    """
+    shortest = min(map(len, trials.groups))
+    if shortest < 3:
+        mend = "more lines per average" if lines_per_average < 3 else "a multisine whose lines are closer together"
+        raise ValueError(f"a group has {shortest} excited lines; expected at least 3 ({mend})")
+    for group in trials.groups:
+        width, middle = float(np.ptp(group)) / trials.period, float(group.mean()) / trials.period
+        if width > max(WIDEST, LARGEST_WIDTH * middle):
+            raise ValueError(
+                f"lines that tell distortion together are {width:.3g} Hz apart near {middle:.3g} Hz; expected at most "
+                f"{WIDEST:g} Hz, over which a linear response hardly bends (a multisine of a longer period, whose "
+                "lines are closer together)"
+            )
 
 
 def _on_single_trials(trials: Periodic) -> tuple[str, ...]:

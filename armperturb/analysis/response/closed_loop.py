@@ -7,6 +7,7 @@ transformed as it is, and all lines near a frequency are used; those of multisin
 """
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from itertools import pairwise
 
@@ -81,6 +82,22 @@ def fit_near(windows: Sequence[Window], centre: float, orders: Sequence[int], ow
             break
         best = better
     return best
+
+
+def fit_determined(
+    windows: Sequence[Window], centre: float, orders: Sequence[int], own_levels: bool = False
+) -> LocalFit:
+    """As `fit_near`; where the lines determine no more, with the highest order that they do.
+
+    Raises:
+      DependentDisturbancesError: they determine none.
+    """
+    lower = range(orders[0] - (len(orders) == 1), -1, -1)
+    *first, last = orders, *((order,) for order in lower)
+    for each in first:
+        with suppress(DependentDisturbancesError):
+            return fit_near(windows, centre, each, own_levels)
+    return fit_near(windows, centre, last, own_levels)
 
 
 def estimate_noise(

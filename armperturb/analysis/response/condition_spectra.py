@@ -1,6 +1,7 @@
 """Spectra of one condition, whatever its excitation: of whole periods where there are any, else of whole records."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 
 import numpy as np
 
@@ -60,17 +61,11 @@ def condition_spectra(
                 parts[0], window_start=window_start, period=period, lines_per_average=lines_per_average
             )
         except ValueError:
-            if period is not None or not _tells_by_whole_records(parts):
-                raise
+            if period is None:
+                with suppress(ValueError):
+                    return _by_whole_records(parts)
+            raise
     return _by_whole_records(parts)
-
-
-def _tells_by_whole_records(parts: Sequence[ConditionTrials]) -> bool:
-    try:
-        _by_whole_records(parts)
-    except ValueError:
-        return False
-    return True
 
 
 def _by_whole_records(parts: Sequence[ConditionTrials]) -> SpectralEstimate:

@@ -9,7 +9,6 @@ Lines near each other share one polynomial, as far as the response is smooth ove
 """
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -26,6 +25,7 @@ from armperturb.analysis.response.closed_loop import (
     LEAST_DOF,
     Answer,
     balanced,
+    fit_determined,
     fit_near,
 )
 from armperturb.analysis.response.frequency_response import FrequencyResponse, System
@@ -64,8 +64,8 @@ MOST_SAMPLES = 0.75
 WIDEST = 1.25
 """Band of lines up to which polynomials follow the response of most arms [Hz]."""
 
-FEWEST_GROUPS = 4
-"""How many times as many groups there may be as tell of both directions."""
+FEWEST = 0.25
+"""Share of the groups of lines that have to tell of both directions [-]."""
 
 FOR_SECOND_ORDER = 12
 """Excited lines of all trials together from which on a group has a polynomial of second order."""
@@ -144,13 +144,11 @@ class Periodic(NamedTuple):
         only half as many terms as equations, or one less than equations where the group is `WIDE`; of groups of many
         lines, or wide ones, more if those fit clearly better. Lines that excite one direction each determine fewer.
         """
-        fits = []
+        fits, fit = [], fit_determined if order is None else fit_near
         for group in self.groups:
             chosen = self._orders(len(group), float(np.ptp(group) / group.mean())) if order is None else (order,)
             orders = sorted({min(choice, len(group) - 1) for choice in chosen})
-            windows, centre = self.windows(group), float(group.mean()) / self.period
-            lower = range(orders[0] - (len(orders) == 1), -1, -1) if order is None else ()
-            fits.append(_determined(windows, centre, [orders, *([each] for each in lower)], own_levels))
+            fits.append(fit(self.windows(group), float(group.mean()) / self.period, orders, own_levels))
         return fits
 
     def _orders(self, n_lines: int, width: float) -> tuple[int, ...]:
@@ -160,14 +158,6 @@ class Periodic(NamedTuple):
         if n_lines > N_QUIET or (width > WIDE and terms > HIGHEST_ORDER + 1):
             return HIGH_ORDERS
         return (min(max(1, terms - 1), HIGHEST_ORDER if width > NARROW else 1),)
-
-
-def _determined(windows: list[Window], centre: float, choices: list[list[int]], own_levels: bool) -> LocalFit:
-    """The fit of the first orders that the excited lines determine."""
-    for orders in choices[:-1]:
-        with suppress(DependentDisturbancesError):
-            return fit_near(windows, centre, orders, own_levels)
-    return fit_near(windows, centre, choices[-1], own_levels)
 
 
 def periodic_trials(
@@ -237,16 +227,16 @@ def periodic_trials(
         period *= together
     groups = _groups(excited, trials, lines_per_average, period, is_fine=apart > 1)
     telling = [_independence(trials, group) > DEPENDENT for group in groups]
-    if FEWEST_GROUPS * telling.count(True) < len(groups):
+    if telling.count(True) < FEWEST * len(groups):
         are_proportional = not _independence(trials, excited) > DEPENDENT
         raise DependentDisturbancesError(
             float(groups[telling.index(False)].mean()) / period,
             are_proportional,
             has_more_lines=max(map(len, groups)) > 1,
         )
-    if n_dumb := telling.count(False):
+    if n_silent := telling.count(False):
         remarks += (
-            f"{n_dumb} of {len(groups)} groups of lines are left out, in which the perturbation has one direction "
+            f"{n_silent} of {len(groups)} groups of lines are left out, in which the perturbation has one direction "
             "alone (the method arx needs no lines)",
         )
     groups = tuple(group for group, tells in zip(groups, telling, strict=True) if tells)
@@ -353,9 +343,7 @@ def _fine_groups(run: NDArray[np.int64], n_trials: int, size: int, period: float
 
 def _tell_both(trials: Sequence[Periods], lines: NDArray[np.int64]) -> bool:
     """Whether most lines, each by itself, tell what a push along x does from what a push along y does."""
-    pushes = np.array([trial.perturbation[lines] for trial in trials]).swapaxes(0, 1)
-    large = np.linalg.svd(pushes, compute_uv=False)
-    return large.shape[1] == N_INPUTS and bool(np.median(large[:, -1] / large[:, 0]) > INDEPENDENT)
+    return bool(np.median([_independence(trials, line) for line in lines[:, None]]) > INDEPENDENT)
 
 
 def estimate_multisine(
@@ -420,7 +408,6 @@ def _on_distance(trials: Periodic) -> tuple[str, ...]:
         and not _tell_both(trials.trials, group)
     ]
     closest = _closest(trials.excited)
-    mend = "record trials with other phases along x and y, or use --method arx"
     if not wide and closest == 1 and (middle_of := [f for f, width in widths if width > max(WIDEST, f / 2.0)]):
         return (
             f"every line of a period of {trials.period:g} s is excited, of which trials hold hardly two: at "
@@ -433,5 +420,5 @@ def _on_distance(trials: Periodic) -> tuple[str, ...]:
     return (
         f"lines of the perturbation are {gap:.3g} Hz apart, and single ones do not tell what x and y do: from "
         f"{low:.3g} to {high:.3g} Hz neighbours share a point, over which the response may bend by tens of percent, "
-        f"and circles hold too little ({mend})",
+        "and circles hold too little (record trials with other phases along x and y, or use --method arx)",
     )

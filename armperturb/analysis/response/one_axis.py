@@ -13,7 +13,6 @@ coherence like noise.
 
 import math
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +32,7 @@ from armperturb.analysis.response.closed_loop import (
     LEAST_DOF,
     N_POINTS,
     excited_band,
+    fit_determined,
     fit_near,
     lines_around,
 )
@@ -243,7 +243,7 @@ def one_axis_response(
             else:
                 windows = lines_around(spectra, centre, orders[0])
                 is_line = order is None and bool((np.abs(repeated - centre) <= SAME_LINE * centre).any())
-                fits.append(_nearby(windows, centre, orders, is_line=is_line))
+                fits.append((fit_determined if is_line else fit_near)(windows, centre, orders))
             lines = np.concatenate([window.perturbation for window in windows])
             power.append(float(np.mean(np.abs(lines) ** 2)))
         distortion, limit, p_linear = _distortion(records, spectra, wanted, fits, imposed=imposed)
@@ -323,25 +323,6 @@ def _alone(spectra: Sequence[Window], centre: float, lines: Array) -> list[Windo
     rows = sum(len(window.frequency) for window in used)
     is_enough = rows >= n_unknowns(len(used), 0, LEAKAGE_ORDER, n_inputs=1) + LEAST_DOF
     return used if used and is_enough and all(len(each.frequency) > LEAKAGE_ORDER + 1 for each in used) else []
-
-
-def _nearby(windows: Sequence[Window], centre: float, orders: tuple[int, ...], *, is_line: bool) -> LocalFit:
-    """The fit of these orders; at a line also of a lower one, where the lines in the window determine no more.
-
-    Args:
-      windows: around the line.
-      centre: [Hz].
-      orders: of the response's polynomial.
-      is_line: whether the input, which repeats, has power there.
-
-    Raises:
-      DependentDisturbancesError: none is determined.
-    """
-    lower = [orders[:1], *((order,) for order in range(orders[0] - 1, -1, -1))] if is_line else []
-    for each in (orders, *lower[:-1]):
-        with suppress(DependentDisturbancesError):
-            return fit_near(windows, centre, each)
-    return fit_near(windows, centre, lower[-1] if lower else orders)
 
 
 def _lines(records: Sequence[TrialRecord], *, imposed: bool) -> Array:
