@@ -92,6 +92,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
                     require_simulator()
                 show(list(command.run()))
     except REFUSED as error:
+        if command is None and isinstance(error, BrokenPipeError):  # nobody reads the rest of the help
+            _nothing_more_to_show()
+            return 0
         _remove_empty(new_folder)
         tell("error", error)
         return 1
@@ -201,9 +204,14 @@ def show(lines: Iterable[str]) -> None:
             print(printable(line).encode(encoding, "backslashreplace").decode(encoding))
         sys.stdout.flush()
     except OSError as error:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or the end of the process would try again
+        _nothing_more_to_show()
         explained = f"standard output: cannot be written ({error.strerror}); the results are"
         raise type(error)(explained) from error
+
+
+def _nothing_more_to_show() -> None:
+    """Discard what standard output still holds, which the end of the process would try to write again."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _missing(folder: Path | None) -> Path | None:

@@ -344,18 +344,49 @@ UNCERTAIN, ALIKE = 0.5, 0.95
 
 
 def limits_of(fit: FitResult) -> tuple[str, ...]:
-    """What the trials do not tell of the parameters, a sentence each."""
-    said = [f"{name} sits on a bound" for name in fit.at_bound]
+    """What the trials do not tell of the parameters: a sentence for each limit, of all parameters that share it.
+
+    Parameters of a fit of several conditions, "k_s [PT2.5]", are named condition by condition.
+    """
+    unknown, poor = [], []
     for name, error in fit.standard_error.items():
         value = fit.values[name]
         if error == np.inf:
-            said.append(f"{name} is not identifiable from these trials")
+            unknown.append((name, ""))
         elif error > UNCERTAIN * abs(value):
             # At a bound of 0 rounding can leave 1e-17, of which a relative error says nothing.
             shown = value if abs(value) > 1e-9 * error else 0.0
             relative = f", relative s.e. {error / abs(shown):.0%}" if shown else ""
-            said.append(f"{name} is poorly determined ({shown:.3g} +/- {error:.2g}{relative})")
-    return (*said, *inseparable(list(fit.values), fit.correlation))
+            poor.append((name, f"{shown:.3g} +/- {error:.2g}{relative}"))
+    return (
+        *_of_each_condition([(name, "") for name in fit.at_bound], "sits on a bound", "sit on a bound"),
+        *_of_each_condition(unknown, "is not identifiable from these trials", "are not identifiable from these trials"),
+        *_of_each_condition(poor, "is poorly determined", "are poorly determined"),
+        *inseparable(list(fit.values), fit.correlation),
+    )
+
+
+def _of_each_condition(names: Sequence[tuple[str, str]], of_one: str, of_several: str) -> list[str]:
+    """What holds for parameters, which come with a detail or "": a sentence for those of each condition."""
+    by_condition: dict[str, list[tuple[str, str]]] = {}
+    for name, detail in names:
+        by_condition.setdefault(name.partition(" [")[2], []).append((name, detail))
+    said = []
+    for together in by_condition.values():
+        if len(together) == 1:
+            ((name, detail),) = together
+            said.append(f"{name} {of_one}{f' ({detail})' if detail else ''}")
+        elif together[0][1]:
+            listed = ", ".join(f"{name} ({detail})" for name, detail in together)
+            said.append(f"{len(together)} parameters {of_several}: {listed}")
+        else:
+            said.append(f"{_enumerated([name for name, _ in together])} {of_several}")
+    return said
+
+
+def _enumerated(names: Sequence[str]) -> str:
+    """Two or more names as a sentence has them."""
+    return f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def inseparable(names: Sequence[str], correlation: Array) -> list[str]:
@@ -367,9 +398,9 @@ def inseparable(names: Sequence[str], correlation: Array) -> list[str]:
         of_group = np.flatnonzero(group_of == group)
         if len(of_group) < 2:
             continue
-        *first, last = (names[index] for index in of_group.tolist())
         r = correlation[np.ix_(of_group, of_group)][np.triu_indices(len(of_group), 1)]
         largest = float(r[np.nanargmax(np.abs(r))])
         how = f"error correlation r = {largest:.2f}" if len(r) == 1 else f"largest error correlation r = {largest:.2f}"
-        said.append(f"{', '.join(first)} and {last} are not separately identifiable ({how})")
+        together = _enumerated([names[index] for index in of_group.tolist()])
+        said.append(f"{together} are not separately identifiable ({how})")
     return said

@@ -112,7 +112,7 @@ class Identify(Command):
     subject: str | None = None
     """Which subject, if the recordings hold several."""
     condition: str | None = None
-    """The only condition to identify; by default all that have a multisine, which must be of one task."""
+    """The only condition to identify; by default all in which something perturbs the window, of any task."""
     window_start: float = WINDOW_START
     """Start of the window of whole periods [s], when the transient has died away."""
     period: float | None = None
@@ -264,11 +264,6 @@ class Identify(Command):
         from armperturb.analysis.fit.own_structures import inertia_prior, save_structure
         from armperturb.commands.selection import manipulator
 
-        tasks = list(dict.fromkeys(task for recording in recordings for task in recording["task"].values.tolist()))
-        if len(tasks) > 1:
-            raise ValueError(
-                f"trials of the tasks {' and '.join(tasks)}; expected only one task (choose a --condition)"
-            )
         emg = self._emg(notes) if self.emg else None
         trials = parts_by_condition(recordings)
         if structure and self.body:

@@ -321,8 +321,23 @@ def test_a_relative_error_is_that_of_an_estimate_which_is_not_zero_but_for_round
     )
     assert limits_of(fit) == (
         "kp_e sits on a bound",
-        "kp_s is poorly determined (6 +/- 4, relative s.e. 67%)",
-        "kp_e is poorly determined (0 +/- 5.3)",
+        "2 parameters are poorly determined: kp_s (6 +/- 4, relative s.e. 67%), kp_e (0 +/- 5.3)",
+    )
+
+
+def test_parameters_that_share_a_limit_are_named_together_condition_by_condition():
+    fit = SimpleNamespace(
+        at_bound=("k_s", "k_e"),
+        values={"k_s": 0.0, "k_e": 0.0, "b_s [PT]": 1.0, "b_s [RT]": 2.0, "b_e [RT]": 4.0, "Td": 0.03},
+        standard_error={"k_s": np.inf, "k_e": np.inf, "b_s [PT]": 0.8, "b_s [RT]": 4.0, "b_e [RT]": 3.0, "Td": 1e-3},
+        correlation=np.eye(6),
+    )
+    assert limits_of(fit) == (
+        "k_s and k_e sit on a bound",
+        "k_s and k_e are not identifiable from these trials",
+        "b_s [PT] is poorly determined (1 +/- 0.8, relative s.e. 80%)",
+        "2 parameters are poorly determined: b_s [RT] (2 +/- 4, relative s.e. 200%), "
+        "b_e [RT] (4 +/- 3, relative s.e. 75%)",
     )
 
 

@@ -269,6 +269,7 @@ def parts_by_condition(
     """
     if isinstance(recordings, Mapping) and not isinstance(recordings, xr.Dataset):
         conditions = {label: tuple(prepared_recordings(parts)) for label, parts in recordings.items()}
+        _require_one_name([part for parts in conditions.values() for part in parts])
     else:
         conditions = _by_label(recordings)
     for label, part in ((label, part) for label, parts in conditions.items() for part in parts):
@@ -282,9 +283,7 @@ def parts_by_condition(
 
 def _by_label(recordings: xr.Dataset | Sequence[xr.Dataset]) -> dict[str, tuple[ConditionTrials, ...]]:
     several = prepared_recordings(recordings, one_rate=False)
-    people = list(dict.fromkeys(str(name) for each in several for name in each.recording["subject"].values))
-    if len(people) > 1:
-        raise ValueError(f"recording: subject = {', '.join(people)}; expected one person")
+    _require_one_name(several)
     parts: dict[str, dict[tuple[float, int], list[ConditionTrials]]] = {}
     for each in several:
         for label, trials in trials_by_condition(each.recording, is_checked=True).items():
@@ -294,6 +293,12 @@ def _by_label(recordings: xr.Dataset | Sequence[xr.Dataset]) -> dict[str, tuple[
         label: tuple(_together(same) for of_clock in by_clock.values() for same in _by_manipulator(of_clock))
         for label, by_clock in parts.items()
     }
+
+
+def _require_one_name(several: Sequence[ConditionTrials]) -> None:
+    people = list(dict.fromkeys(str(name) for each in several for name in each.recording["subject"].values))
+    if len(people) > 1:
+        raise ValueError(f"recording: subject = {', '.join(people)}; expected one person")
 
 
 def _by_manipulator(parts: Sequence[ConditionTrials]) -> list[list[ConditionTrials]]:

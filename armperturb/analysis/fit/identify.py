@@ -280,13 +280,12 @@ def identify_conditions(
         is fitted in the geometry of the start posture where the trials ask for it, see `ladder.nearest_to_linear`. None
         lets the trials of each condition choose, see `ladder.choose_structure`.
       estimator: "thesis", "frequency" or "record".
-      share: parameters that are the same in all conditions, see `maximum_likelihood.estimate`.
+      share: parameters that are the same in all conditions, which then are fitted together, see `maximum_likelihood`.
       window_start: start of the window of whole periods, after the transient has died away [s].
       period: of the disturbance [s]; None to find it, in each condition.
       lines_per_average: of the spectra, see `estimate_spectra`; maximum likelihood estimates use every line.
       emg: EMG that tells of reflexes as well; with maximum likelihood only. The structure is chosen without it.
-      progress: called with each condition once its arm is fitted; maximum likelihood of a given `model` fits all at a
-        time.
+      progress: called with each condition once its arm is fitted.
 
     Returns:
       Condition to what it yields, in the order of the recording; those in which nothing perturbs the window, as where
@@ -337,13 +336,13 @@ def identify_conditions(
         else:
             if not is_published(structure):
                 groups = [nearest_to_linear(*each, estimator) for each in zip(groups, moved, strict=True)]
-            joint = estimate([with_emg(group) for group in groups], estimator, share=share)
-            for group in groups:
-                if is_published(structure):
-                    fits[group.label] = _likely_fit(joint, group, spectra[group.label])
-                else:
-                    fits[group.label] = replace(_likely_fit(joint, group, group.spectra), trials=group.parts)
-                progress(group.label)
+            # What conditions do not share is found sooner alone, and judged by their own trials.
+            for together in [groups] if share else [[group] for group in groups]:
+                joint = estimate([with_emg(group) for group in together], estimator, share=share)
+                for group in together:
+                    as_recorded = spectra[group.label] if is_published(structure) else None
+                    fits[group.label] = _likely_fit(joint, group, as_recorded)
+                    progress(group.label)
         if emg:
             fits = {label: told_of_emg(fit, emg, conditions[label][0]) for label, fit in fits.items()}
     is_cut = estimator != "record" or emg is not None
@@ -422,16 +421,16 @@ def _in_start_geometry(group: Group, options: Mapping[str, Any], arm: Subject | 
 def _chosen_fit(choice: Choice) -> ArmFit:
     """With the structure that the trials choose; what is said of the choice comes before other remarks."""
     group = choice.group.with_structure(choice.chosen.structure)
-    fit = _likely_fit(choice.estimate, group, group.spectra)
-    return replace(fit, trials=group.parts, choice=choice, remarks=(*choice.remarks(group.parts), *fit.remarks))
+    fit = _likely_fit(choice.estimate, group)
+    return replace(fit, choice=choice, remarks=(*choice.remarks(group.parts), *fit.remarks))
 
 
-def _likely_fit(result: Estimate, group: Group, spectra: SpectralEstimate) -> ArmFit:
-    """One condition's part of an estimate over several."""
+def _likely_fit(result: Estimate, group: Group, as_recorded: SpectralEstimate | None = None) -> ArmFit:
+    """One condition's part of an estimate, of trials with such spectra as recorded, or else of those of the group."""
     condition, names = group.label, group.structure.free
     label = {name: name if name in result.values else f"{name} [{condition}]" for name in names}
     rows = [list(result.values).index(name) for name in label.values()]
-    facts = facts_of_arm(result.arms[condition], group.structure, group.parts, spectra)
+    facts = facts_of_arm(result.arms[condition], group.structure, group.parts, as_recorded or group.spectra)
     errors = {name: result.standard_error[label[name]] for name in names}
     return ArmFit(
         estimator=result.method,
@@ -446,5 +445,6 @@ def _likely_fit(result: Estimate, group: Group, spectra: SpectralEstimate) -> Ar
         converged=result.converged,
         remarks=(*result.remarks, *remark_on_force(facts["arm"], facts["force"], errors)),
         detail=result,
+        trials=() if as_recorded else group.parts,
         **facts,
     )

@@ -272,7 +272,7 @@ def unknowns(identification: Identification, check: DataCheck, undecided: Sequen
     """
     fit, spectra = identification.fit, identification.spectra
     said = [f"Which structure is right is open in this choice: {choice}." for choice in undecided]
-    said += [f"{text[0]}{text[1:]}." for text in limits_of(fit)]
+    said += [f"{text}." for text in limits_of(fit)]
     low, high = spectra.frequency[0], spectra.frequency[-1]
     said.append(
         f"Below {plain(low, 2)} and above {plain(high, 3)} Hz nothing was perturbed: what is said there, static "
