@@ -60,7 +60,7 @@ ARROWS = {
     "analysis.imbalance": BASE | {"analysis.excited_bands"},
     "analysis.force_balance": BASE | {"analysis.excited_bands", "analysis.imbalance"},
     "analysis.signs": BASE | {"analysis.cuts", "analysis.imbalance", "analysis.force_balance"},
-    "analysis.joint_balance": BASE | {"analysis.cuts", "analysis.force_balance"},
+    "analysis.joint_balance": BASE | {"analysis.cuts", "analysis.force_balance", "analysis.plateaus"},
     "plots": BASE,
     "pages": BASE | {"plots"},
     "analysis.results": BASE | {"plots"},

@@ -14,6 +14,7 @@ from scipy import fft, signal
 
 from armperturb.analysis.cuts import before_limit
 from armperturb.analysis.force_balance import EDGE
+from armperturb.analysis.plateaus import clipped_stretches
 from armperturb.arrays import Array
 
 DEGREES = 180.0 / np.pi
@@ -115,9 +116,35 @@ def check_joint(recording: xr.Dataset, mass: float | None = None, source: str = 
 
 
 def impossible_joint(recording: xr.Dataset) -> tuple[str, ...]:
-    """What of the signals no joint can show, as a remark: signs or units; mostly nothing."""
+    """What of the signals no joint can show, as remarks: signs, units, channels that stand still; mostly nothing."""
     wrong, _ = wrong_joint(recording)
-    return (wrong,) if wrong else ()
+    return (*filter(None, [wrong]), *standing_still(recording))
+
+
+def standing_still(recording: xr.Dataset) -> list[str]:
+    """Signals of trials that are constant or clipped, a sentence each, without full stop.
+
+    Args:
+      recording: the trials, see `wrong_joint`.
+    """
+    trials, n_time = before_limit(recording)
+    perturbation = recording["perturbation"].values if "perturbation" in recording.data_vars else None
+    is_driven = perturbation is None or bool(perturbation.any())
+    names = ["force"] if recording.attrs["servo"] == "position" else ["force", "displacement"]
+    said = []
+    for name in names:
+        constant, clipped = [], []
+        for number in np.arange(recording.sizes["trial"])[trials].tolist():
+            values = recording[name].values[number, :n_time, 0]
+            if np.ptp(values) == 0.0:
+                constant.append(f"{number + 1} (at {values[0]:.4g})")
+            elif plateaus := clipped_stretches(values, may_rest=not is_driven):
+                clipped.append(f"{number + 1} (at {values[plateaus[0][0]]:.4g}, {len(plateaus)} times)")
+        for what, where in (("constant", constant), ("clipped", clipped)):
+            if where and (what == "clipped" or is_driven):
+                several = "trials" if len(where) > 1 else "trial"
+                said.append(f"{name} is {what} in {several} {', '.join(where)}; leave such trials out")
+    return said
 
 
 def wrong_joint(recording: xr.Dataset, mass: float | None = None) -> tuple[str, list[str]]:
@@ -145,7 +172,11 @@ def wrong_joint(recording: xr.Dataset, mass: float | None = None) -> tuple[str, 
         sine = "the movement is nearly a sine, which does not show inertia: signs and units are unchecked"
         return _large_angle(recording), [sine]
     if not limb.shows_inertia:
-        slow = "the movement is too slow to show an inertia: signs and units are unchecked"
+        slow = (
+            f"the movement does not show an inertia, which comes out at {limb.inertia:.3g} +/- "
+            f"{limb.standard_error:.2g} {unit} (too slow, too noisy, or stretches that disagree): signs and units are "
+            "unchecked"
+        )
         return _large_angle(recording), [slow]
     if limb.contradicts:
         per = "Nm/rad" if angular else "N/m"

@@ -290,10 +290,6 @@ def test_what_cannot_be_identified_together_is_refused(two_recordings, recording
     a, b = two_recordings
     line = refused(capsys, "identify", a, tmp_path / "p.nc", "--model", "1", *out)
     assert "subjects S01, subject; expected only one (choose a --subject)" in line
-    of_task = other.assign_coords(condition=("trial", ["PT7.5"]), task=("trial", ["PT"]))
-    save_recording(of_task, tmp_path / "p.nc")
-    line = refused(capsys, "identify", a, tmp_path / "p.nc", "--model", "1", *out)
-    assert "trials of the tasks RT and PT; expected only one task (choose a --condition)" in line
     line = refused(capsys, "identify", a, tmp_path / "short.nc", "--model", "1", "--estimator", "thesis", *out)
     assert "short.nc" in line
     assert "expected one length with estimator = 'thesis' (--estimator record takes any)" in line

@@ -92,3 +92,8 @@ def test_refusals_are_one_line(folder, capsys, options, message):
 def test_a_recording_of_a_joint_has_the_ending_of_its_format(tmp_path, capsys):
     assert cli.main(["joint", "--out", str(tmp_path / "o.mat")]) == 1
     assert "o.mat: ending '.mat'; expected .nc (convert makes .csv or .mat of it)" in capsys.readouterr().err
+
+
+def test_a_recording_of_a_joint_has_a_rate_that_identify_takes(tmp_path, capsys):
+    assert cli.main(["joint", "--rate", "10", "--out", str(tmp_path / "o.nc")]) == 1
+    assert "joint: rate = 10.0; expected a finite number at least 50" in capsys.readouterr().err

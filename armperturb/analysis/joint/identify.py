@@ -14,14 +14,23 @@ from armperturb.analysis.joint.choice import ScoredStructure, score_of, sentence
 from armperturb.analysis.joint.estimate import JointEstimate, Profile, estimate_joint, likelihood_profiles
 from armperturb.analysis.joint.intrinsic import IntrinsicCheck, check_intrinsic
 from armperturb.analysis.joint.likelihood import Loop, environment_of, simulated_movement
-from armperturb.analysis.joint.model import LONGEST_DELAY, REFLEXES, UNITS, JointModel, JointStructure, Reflex
+from armperturb.analysis.joint.model import (
+    LONGEST_DELAY,
+    REFLEXES,
+    THRESHOLD,
+    UNITS,
+    JointModel,
+    JointStructure,
+    Reflex,
+)
+from armperturb.analysis.joint.odd_trials import odd_trials
 from armperturb.analysis.joint.part_differences import PartDifferences, part_differences
 from armperturb.analysis.joint.prediction import FreeModel, explained, fit_free_model
 from armperturb.analysis.joint.remarks import remarks_on
 from armperturb.analysis.joint.signals import SHORTEST, JointSignals, joint_signals, mean_angle
 from armperturb.analysis.joint.torque_likelihood import band_of
 from armperturb.analysis.joint.trial_differences import trial_differences
-from armperturb.analysis.joint_balance import wrong_joint
+from armperturb.analysis.joint_balance import standing_still, wrong_joint
 from armperturb.analysis.results import Description, FitResult, Interval, parameter_table, quantile
 from armperturb.arrays import Array
 from armperturb.copied_trials import without_copies
@@ -82,6 +91,7 @@ class JointIdentification(FitResult):
       lack_of_fit: whether the structure leaves something that a linear response to the servo's input explains.
       trial_spread: "damping", "stiffness" and others to the standard deviation over trials of the factor by which it
         differs [-]; without those that do not differ.
+      faults: what is wrong with signals, or with those of single trials, a sentence each; mostly nothing.
       parts: how parts of the trials differ.
       top: frequency up to which the movement counts [Hz].
       beyond: power of the velocity next above that, over its power below [-], see `signals.JointSignals`.
@@ -106,6 +116,7 @@ class JointIdentification(FitResult):
     environment: Loop | None
     lack_of_fit: LackOfFit
     trial_spread: Mapping[str, float]
+    faults: tuple[str, ...]
     parts: PartDifferences
     top: float
     beyond: float
@@ -266,6 +277,9 @@ def identify_joint(
         correlation = covariance / np.outer(error, error)
     at_bound = tuple(name for name, bound in zip(names, best.at_bound, strict=True) if bound)
     wrong, notes = wrong_joint(recording)
+    angular = recording["displacement"].attrs["units"] == "rad"
+    odd = odd_trials(best, signals, loop).sentence(angular=angular)
+    faults = tuple(filter(None, [wrong, *standing_still(recording), odd]))
     result = JointIdentification(
         values=dict(zip(names, map(float, best.values), strict=True)),
         standard_error=dict(zip(names, map(float, error), strict=True)),
@@ -274,13 +288,13 @@ def identify_joint(
         at_bound=at_bound,
         converged=best.converged,
         message="converged" if best.converged else "the rounds of weighing did not settle",
-        remarks=(*each_once.remarks, *filter(None, [wrong]), *notes, *left_out),
+        remarks=(*each_once.remarks, *faults, *notes, *left_out),
         label=named(recording),
         subject=str(values["subject"]),
         condition=str(values["condition"]),
         joint=str(recording.attrs.get("joint", "")),
         servo=signals.servo,
-        angular=recording["displacement"].attrs["units"] == "rad",
+        angular=angular,
         structure=best.structure,
         tried=tuple(tried),
         vaf=_shares(signals, model, best.values, loop),
@@ -291,6 +305,7 @@ def identify_joint(
         environment=loop,
         lack_of_fit=best.lack,
         trial_spread=differences.spread,
+        faults=faults,
         parts=part_differences(best, signals, loop),
         top=signals.top,
         beyond=signals.beyond,
@@ -308,8 +323,23 @@ def _tried(
         estimate_joint(each, signals, loop, longest_delay=longest_delay)
         for each in structures(reflex, short_range=short_range)
     ]
-    scored = [TriedStructure(each, score_of(each.structure, each.objective, each.loss)) for each in estimates]
+    scored = [
+        TriedStructure(each, score_of(each.structure, each.objective, each.loss))
+        for each in estimates
+        if reflex is not None or not _is_hardly_half(each)
+    ]
     return sorted(scored, key=lambda each: each.score)
+
+
+def _is_hardly_half(estimate: JointEstimate) -> bool:
+    """Whether a half-wave's threshold is so low that it passes nearly all of the movement, as a linear reflex does.
+
+    Where the joint does more than the model has, what such a half-wave cuts off fits by chance.
+    """
+    if THRESHOLD not in estimate.structure.parameters:
+        return False
+    place = estimate.structure.parameters.index(THRESHOLD)
+    return bool(estimate.at_bound[place] and estimate.values[place] < 0.0)
 
 
 def _reflex_torque(signals: JointSignals, best: JointEstimate) -> Array:

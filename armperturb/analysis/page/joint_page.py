@@ -122,7 +122,7 @@ def joint_verdict(result: JointIdentification) -> Verdict:
         )
         if each
     ]
-    impossible = [_sentence(each) for each in ruled_out(result)]
+    impossible = [_sentence(each) for each in (*result.faults, *ruled_out(result))]
     is_wrong = ahead > CARE or (lacking and lack.chi2 > LARGE_LACKS[result.servo] * lack.dof)
     if impossible or is_wrong or result.parts.largest >= LARGE_SPREAD:
         return Verdict("reject", _sentences(*impossible, explained, lacking, unsettled, *further))

@@ -201,6 +201,12 @@ class TaskSettings:
                     "levels, which do not reach acceleration and force feedback (co_contraction = 'off' and reflexes = "
                     "False set none)"
                 )
+        if self.sets_levels and subject.muscle is not None and np.any(subject.muscle.spindle_threshold_slope):
+            raise ValueError(
+                f"TaskSettings: subject {subject.name!r} has spindle_threshold_slope = "
+                f"{subject.muscle.spindle_threshold_slope}; expected 0 where the agent sets levels, which do not reach "
+                "thresholds (co_contraction = 'off' and reflexes = False set none)"
+            )
         if self.sets_levels and subject.task == "PT":
             try:
                 require_integrable(at_level(subject, self.highest_level), self.environment, None, self.timestep)

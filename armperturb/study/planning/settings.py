@@ -43,6 +43,9 @@ a person who differs from the assumed one badly. A fifth costs little (docs/desi
 SHORTEST_PERIOD = PERIOD / 4
 """Of a multisine [s]; its clusters are 0.8 Hz wide."""
 
+DECIMALS = 9
+"""Of durations [s]: sums of decimal numbers are a little off, and a message shows the number that is meant."""
+
 LEAST_FORCE, MOST_FORCE = 1e-3, 1e3
 """Of a limit [N]: gauges resolve no less, manipulators exert no more."""
 
@@ -101,7 +104,7 @@ class DesignSettings:
                 f"{least:.2g} m"
             )
         # Lines are resolved only over whole periods.
-        shortest = SHORTEST_PERIOD + SETTLING
+        shortest = round(SHORTEST_PERIOD + SETTLING, DECIMALS)
         require_number("design", "duration [s]", self.duration, at_least=shortest, at_most=MAX_DURATION)
         require_one_of("design", "model", self.model, (*STRUCTURES, None))
         require_ranges("design", self)
@@ -132,7 +135,7 @@ class DesignSettings:
     def period(self) -> float:
         """Of the multisine [s]: the thesis's, or its half or quarter where the duration is too short for that."""
         period = PERIOD
-        while period + SETTLING > self.duration:
+        while round(period + SETTLING, DECIMALS) > self.duration:
             period /= 2.0
         return period
 

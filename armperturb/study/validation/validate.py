@@ -219,7 +219,9 @@ def simulate_group(settings: ValidateSettings, number: int) -> xr.Dataset:
       ValueError: the subject is refused, or the arm is unstable.
       OSError: the subject's file cannot be read.
     """
-    truth, linear, instruments = settings.truth(), not settings.multibody, Instruments(marker_noise=None, emg=None)
+    # A muscle law makes another arm of the parameters that are the truth.
+    truth, linear = replace(settings.truth(), muscle=None), not settings.multibody
+    instruments = Instruments(marker_noise=None, emg=None)
     trials = [_trial(settings, truth, number, trial) for trial in range(settings.trials)]
     return run_experiment(trials, linear=linear, engine=settings.engine, instruments=instruments, n_threads=1)
 

@@ -241,8 +241,7 @@ def test_verdicts_in_words(identified):
         return replace(fine, fit=replace(fine.fit, **changes))
 
     def with_chi2(chi2, dof=100):
-        arms = {"multisine": fine.fit.arm}
-        return with_fit(detail=replace(fine.fit.detail, chi2=chi2, dof=dof, dispersion=chi2 / dof, arms=arms))
+        return with_fit(detail=replace(fine.fit.detail, chi2=chi2, dof=dof, dispersion=chi2 / dof))
 
     assert verdict(with_chi2(100.0), ()).level == "trust"
     care = verdict(with_chi2(150.0), ())
@@ -251,8 +250,10 @@ def test_verdicts_in_words(identified):
     assert verdict(with_chi2(1000.0), ()).level == "reject"
     # Of several conditions together, each is judged by its own lack of fit.
     right = [BandOfLack(1.0, 2.0, 8.0)] * 20
-    assert verdict(fine, right).level == "trust"
-    assert verdict(fine, [*right, BandOfLack(2.0, 3.0, 500.0)]).level == "reject"
+    arms = {condition: result.fit.arm for condition, result in results.items()}
+    together = with_fit(detail=replace(fine.fit.detail, arms=arms))
+    assert verdict(together, right).level == "trust"
+    assert verdict(together, [*right, BandOfLack(2.0, 3.0, 500.0)]).level == "reject"
     assert verdict(with_fit(converged=False), ()).level == verdict(with_fit(stable=False), ()).level == "reject"
 
 

@@ -24,6 +24,7 @@ from armperturb.envs.learning.levels import subject_at
 from armperturb.envs.learning.participants import SENSES, action_names
 from armperturb.envs.learning.registration import TASKS
 from armperturb.envs.learning.task import TaskSettings
+from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations import Multisine
 from armperturb.subject import at_level
 
@@ -465,6 +466,10 @@ def test_several_forces_are_drawn_from():
 FEELING = replace(PERSON, subjects={**PERSON.subjects, "PT": replace(PERSON.subjects["PT"], ka_s=0.5, kf_e=-0.3)})
 """A person with feedback that no level sets."""
 
+MOVING = MuscleLaw(spindle_threshold_slope=0.2)
+WARY = replace(PERSON, subjects={**PERSON.subjects, "PT": replace(PERSON.subjects["PT"], muscle=MOVING)})
+"""A person whose spindles' threshold follows co-contraction, which no level sets either."""
+
 BAD_SETTINGS = [
     ({"visual_delay": -0.1}, ValueError, "visual_delay = -0.1; expected a finite number at least 0"),
     ({"proprioceptive_delay": -1e-3}, ValueError, "proprioceptive_delay = -0.001"),
@@ -486,6 +491,7 @@ BAD_SETTINGS = [
     ({"onset_window": (2.0, 1.0)}, ValueError, "expected the earliest onset first"),
     ({"person": "published"}, ValueError, "expected 'common' or 'off', as a muscle group of subject 'position'"),
     ({"person": FEELING}, ValueError, "subject 'S01' has ka_s = 0.5; expected 0 where the agent sets levels"),
+    ({"person": WARY}, ValueError, r"slope = \(0\.2, 0\.2, 0\.2\); expected 0 where the agent sets levels"),
     ({"person": FEELING, "co_contraction": "off"}, ValueError, "ka_s = 0.5; expected 0 where the agent sets levels"),
     (
         {"highest_level": 40.0},

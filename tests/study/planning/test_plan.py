@@ -395,6 +395,11 @@ def test_bad_settings_are_refused(change, words):
         replace(REFLEX, **change)
 
 
+@pytest.mark.parametrize(("duration", "period"), [(9.12, 5.12), (14.24, 10.24), (24.48, 20.48)])
+def test_a_trial_may_be_as_short_as_messages_say(duration, period):
+    assert replace(REFLEX, duration=duration).period == period
+
+
 @pytest.mark.slow(reason="searches for a design")
 def test_limits_of_very_different_sizes_are_kept():
     plan = design(replace(REFLEX, trials=1, force=1e3, displacement=1e-5, duration=32.0))

@@ -8,6 +8,7 @@ import pytest
 from armperturb.analysis.fit.truth import true_values
 from armperturb.analysis.results import LINES
 from armperturb.cli import main
+from armperturb.muscle_law import MuscleLaw
 from armperturb.plots.style import new_figure
 from armperturb.study.validation.report import title, write_validation
 from armperturb.study.validation.validate import (
@@ -109,6 +110,15 @@ def test_groups_differ_and_the_seed_sets_them(right):
     again, other = (simulate_group(replace(RECORD, seed=seed), 0)["force"].values for seed in (0, 1))
     assert np.array_equal(again, simulate_group(RECORD, 0)["force"].values)
     assert not np.allclose(again, other, rtol=1e-3)
+
+
+def test_no_muscle_law_makes_another_arm_of_the_truth(tmp_path):
+    paths = [tmp_path / name for name in ("law.toml", "none.toml")]
+    for path, muscle in zip(paths, (MuscleLaw(), None), strict=True):
+        replace(POSITION, muscle=muscle).save(path)
+    settings = replace(RECORD, multibody=True, engine="compiled")
+    of_law, of_none = (simulate_group(replace(settings, subject=path), 0)["displacement"].values for path in paths)
+    np.testing.assert_array_equal(of_law, of_none)
 
 
 def test_bias_error_coverage_and_their_interval_are_those_of_the_definition():

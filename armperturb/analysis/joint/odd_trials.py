@@ -1,0 +1,111 @@
+"""Trials that tell of another inertia than the others: a limb has one, so that a signal of theirs is wrong.
+
+What makes a person stiffer or more reflexive in one trial leaves the inertia as it is, while a torque that is late,
+lost or of another size does not. With delay and dynamics held, each trial alone has a least-squares estimate about that
+of all trials, see `part_differences`, whose variance is that of the noise times how much more of it the trial has.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from armperturb.analysis.fit.trial_effects import inverse
+from armperturb.analysis.joint.estimate import JointEstimate
+from armperturb.analysis.joint.likelihood import JointLikelihood, Loop
+from armperturb.analysis.joint.part_differences import CHANCE, DIFFERENT, QUANTITIES
+from armperturb.analysis.joint.signals import JointSignals
+from armperturb.analysis.results import plain
+from armperturb.arrays import Array
+
+ROUND_OFF = 1e-9
+"""Share of the largest inertia below which one is none [-]."""
+
+
+class OddTrials(NamedTuple):
+    """Trials whose inertia is not that of the others.
+
+    Attributes:
+      inertia: number of such a trial, from 1, to its inertia [kg m^2, or kg]; of two trials that differ, both.
+      others: inertia of the other trials together; None where there are two trials, of which either may be right.
+    """
+
+    inertia: Mapping[int, float]
+    others: float | None
+
+    def sentence(self, *, angular: bool) -> str:
+        """In words, without full stop; empty where all trials agree.
+
+        Args:
+          angular: whether it is a joint, or a single direction.
+        """
+        if not self.inertia:
+            return ""
+        size, unit, force = ("inertia", "kg m^2", "torque") if angular else ("mass", "kg", "force")
+        least = ROUND_OFF * max(map(abs, [*self.inertia.values(), self.others or 0.0]))
+        each = ", ".join(
+            f"{plain(value if abs(value) > least else 0.0, 3)} {unit} in trial {number}"
+            for number, value in self.inertia.items()
+        )
+        against = "" if self.others is None else f" against {plain(self.others, 3)} {unit} in the others"
+        return (
+            f"trials differ in {size} by more than noise ({each}{against}), but a limb has one: {force} or movement of "
+            f"{'one of them' if self.others is None else 'such a trial'} is late, lost or of another size; leave it out"
+        )
+
+
+def odd_trials(fit: JointEstimate, signals: JointSignals, loop: Loop | None) -> OddTrials:
+    """Trials whose inertia differs from that of the others significantly and by more than `DIFFERENT`.
+
+    Args:
+      fit: of all trials.
+      signals: of these.
+      loop: the virtual environment of a force servo; None of a position servo.
+    """
+    names = fit.structure.parameters
+    places = [place for place, name in enumerate(names) if name in QUANTITIES and not fit.at_bound[place]]
+    likelihood = JointLikelihood(fit.structure, signals, loop)
+    if likelihood.n_trials < 2 or "inertia" not in [names[place] for place in places]:
+        return OddTrials({}, None)
+    likelihood.weigh(fit.values)
+    slopes = likelihood.derivatives(fit.values, likelihood.movement(fit.values))[places]
+    values, variances = _alone(slopes, likelihood.residual(fit.values), float(fit.values[places[0]]))
+    limit = float(stats.norm.isf(CHANCE / (2 * len(values))))
+    left, odd = list(range(len(values))), []
+    while len(left) > 1:
+        others = [_mean(values, variances, [each for each in left if each != trial]) for trial in left]
+        apart = np.array([values[trial] - mean for trial, (mean, _) in zip(left, others, strict=True)])
+        error = np.sqrt([variances[trial] + variance for trial, (_, variance) in zip(left, others, strict=True)])
+        furthest = int(np.argmax(np.abs(apart) / error))
+        if abs(apart[furthest]) < max(limit * error[furthest], DIFFERENT * abs(others[furthest][0])):
+            break
+        if len(values) == 2:
+            return OddTrials({trial + 1: float(values[trial]) for trial in left}, None)
+        odd.append(left.pop(furthest))
+    return OddTrials({trial + 1: float(values[trial]) for trial in sorted(odd)}, _mean(values, variances, left)[0])
+
+
+def _alone(slopes: Array, residual: Array, inertia: float) -> tuple[Array, Array]:
+    """Inertia of each trial alone, and its variance, (trial,).
+
+    Args:
+      slopes: white derivatives, inertia first, (parameter, trial, number).
+      residual: white, (trial, number).
+      inertia: of all trials.
+    """
+    covariances = [inverse(rows @ rows.T) for rows in slopes.swapaxes(0, 1)]
+    shifts = [
+        covariance @ (rows @ left)
+        for covariance, rows, left in zip(covariances, slopes.swapaxes(0, 1), residual, strict=True)
+    ]
+    left = residual - np.einsum("ptn,tp->tn", slopes, np.array(shifts))
+    power = np.mean(left**2, axis=1)
+    louder = np.maximum(1.0, power / np.median(power))
+    return inertia + np.array([shift[0] for shift in shifts]), louder * np.array([each[0, 0] for each in covariances])
+
+
+def _mean(values: Array, variances: Array, trials: list[int]) -> tuple[float, float]:
+    """Weighted mean of the values of some trials, and its variance."""
+    weights = 1.0 / variances[trials]
+    return float(weights @ values[trials] / weights.sum()), float(1.0 / weights.sum())
