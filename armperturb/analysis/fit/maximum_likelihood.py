@@ -6,7 +6,7 @@ Standard errors are those of the Fisher information, near the Cramer-Rao bound, 
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import NamedTuple, get_args
 
@@ -18,7 +18,7 @@ from armperturb.analysis.defaults import FEWEST_TRIALS
 from armperturb.analysis.fit.emg_laws import MIXED, STRETCH, TORQUE, Law
 from armperturb.analysis.fit.emg_likelihood import FEEDBACK, FEW_WITH_EMG, remarks_on_delay
 from armperturb.analysis.fit.group import Group, Method, require_one_person
-from armperturb.analysis.fit.joint_likelihood import PART_OF, JointLikelihood
+from armperturb.analysis.fit.joint_likelihood import PART_OF, JointLikelihood, shared_names
 from armperturb.analysis.fit.likelihood_search import (
     SETTLED,
     Searched,
@@ -207,7 +207,7 @@ def estimate(
       method: "frequency" (mean periods; fast) or "record" (all of each trial; best, started from the former).
       share: parameters that are the same in all conditions: names of parameters, or of `SHARES`.
       initial: values to start from, named as in `Estimate.values`, SI; linear least squares for those not given. Where
-        all are given, no other start is tried.
+        all are given, no other start is tried. None starts several groups from where each ends alone.
 
     Raises:
       ValueError: there is no group, groups differ in person or posture, a shared name is unknown, an initial value is
@@ -281,6 +281,8 @@ def _begun(
                 )
     first_method: Method = "record" if any(group.period is None for group in groups) else "frequency"
     problem = JointLikelihood(groups, first_method, share)
+    if initial is None and len(groups) > 1:
+        initial = _alone(problem, method, shared_names(groups, share))
     first = problem.stabilised(problem.initial(initial or {}))
     search = search_best(problem, first)
     if scaled(search.information)[1][0] <= SINGULAR:
@@ -301,6 +303,29 @@ def _begun(
         again = search_best(problem, with_usual_delays(problem))
         search = min(search, again, key=lambda each: problem.objective(each.values))
     return Begun(problem, search, problem.objective(search.values), fit.p_value < SUSPICIOUS)
+
+
+def _alone(problem: JointLikelihood, method: Method, shared: Set[str]) -> dict[str, float]:
+    """Where searches of each group alone end, by name; of what groups share the mean, by its precision.
+
+    Conditions differ in more than they share: from a mean of them a search may not find back.
+    """
+    values: dict[str, float] = {}
+    total, weight = dict.fromkeys(shared, 0.0), dict.fromkeys(shared, 0.0)
+    for group in problem.groups:
+        begun = _begun([group], method, (), None)
+        scale, power, directions = scaled(begun.search.information)
+        precision = scale**2 / np.sum(directions**2 / np.maximum(power, SINGULAR), axis=1)
+        ends = zip(begun.problem.names, begun.search.values.tolist(), precision.tolist(), strict=True)
+        for name, value, known in ends:
+            if name in shared:
+                total[name] += known * value
+                weight[name] += known
+            else:
+                values[f"{name} [{group.label}]"] = value
+    values |= {name: total[name] / weight[name] for name in shared}
+    bounds = zip(problem.names, problem.lower.tolist(), problem.upper.tolist(), strict=True)
+    return {name: min(max(values[name], lower), upper) for name, lower, upper in bounds}
 
 
 def _ended(begun: Begun, method: Method, share: Sequence[str]) -> Estimate:
