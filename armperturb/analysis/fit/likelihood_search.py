@@ -35,6 +35,12 @@ that leave something out lead no further."""
 UNUSUAL = 2.0
 """Factor by which delays and cut-offs are unusual if they differ by more from those of the structures' starts [-]."""
 
+SHORTENED = 0.8
+"""Share of a step up to which it is shortened, where a parabola says that this is better [-]."""
+
+CONVERGED = "converged: steps are far below the errors"
+"""Of a search that ended at a maximum."""
+
 
 class Searchable(Protocol):
     """A likelihood of free parameters within bounds, (parameter,), and how far they are from an unstable model."""
@@ -133,21 +139,45 @@ def search_from(
         reason = "no smaller step increases the likelihood"
         whole = bounded_step(normal, 0.0, *room)
         if step_size(normal, whole) < settled:
-            return Searched(values, normal.information, "converged: steps are far below the errors", True, n_rounds)
+            return Searched(values, normal.information, CONVERGED, True, n_rounds)
+        # Along what trials hardly tell, steps are small beside the error that is left, and large beside round-off.
+        is_maximum = float(normal.slope @ whole) < settled**2
+        failed = CONVERGED if is_maximum else "not converged: {}"
         while True:
             step = bounded_step(normal, damping, *room) if damping else whole
             after = np.clip(values + step, problem.lower, problem.upper)
             if not problem.pole(after) < limit:
                 reason = "at the border of stability"
-            elif problem.cost(after) < normal.cost:
+            elif (cost := problem.cost(after)) < normal.cost:
+                after = _best_along(problem, normal, values, after, cost)
                 break
             damping = max(10.0 * damping, 1e-3)
             if damping > 1e8:
-                return Searched(values, normal.information, f"not converged: {reason}", False, n_rounds)
+                return Searched(values, normal.information, failed.format(reason), is_maximum, n_rounds)
         if n_rounds > weighed and step_size(normal, after - values) < STALLED * settled:
-            return Searched(after, normal.information, f"not converged: {reason}", False, n_rounds)
+            return Searched(after, normal.information, failed.format(reason), is_maximum, n_rounds)
         values, damping = after, damping / 10.0 if damping > 1e-6 else 0.0
     return Searched(values, normal.information, f"not converged: {most} steps were not enough", False, most)
+
+
+def _best_along(problem: Searchable, normal: Normal, values: Array, after: Array, cost: float) -> Array:
+    """Where a step should end, by the parabola through the costs at both ends and the slope at the first.
+
+    Curvature that Gauss and Newton leave out makes steps too long: a search would go to and fro across its valley.
+
+    Args:
+      problem: the likelihood.
+      normal: at the start of the step.
+      values: there, (parameter,).
+      after: end of the step.
+      cost: there.
+    """
+    gain = 2.0 * float(normal.slope @ (after - values))
+    share = 0.5 * gain / (cost - normal.cost + gain) if cost - normal.cost > -0.5 * gain else 1.0
+    if share > SHORTENED:
+        return after
+    between = values + share * (after - values)
+    return between if problem.cost(between) < cost else after
 
 
 def search_best(problem: JointLikelihood, start: Array) -> Searched:
