@@ -288,7 +288,7 @@ class Identify(Command):
         from armperturb.analysis.page.page import write_page
 
         write_identification(results, self.out)
-        endings, lines = endings_of(results), []
+        endings, lines, unusable = endings_of(results), [], []
         for condition, result in results.items():
             choice = result.fit.choice
             chosen = structure if choice is None else choice.chosen.structure
@@ -299,12 +299,11 @@ class Identify(Command):
             refusal = write_arm(result.fit.arm, self.out / name)
             lines.append(f"{condition}: {manipulator(result.environment)}")
             lines.append(f"{condition}: {result.fit.message}; VAF x {result.vaf[0]:.1f} %, y {result.vaf[1]:.1f} %")
-            lines += [f"{condition}: {remark}" for remark in result.fit.remarks]
-            lines += [f"{condition}: {name} cannot be simulated: {refusal}"] if refusal else []
+            unusable += [f"{condition}: {name} cannot be simulated: {refusal}"] if refusal else []
         write_page(
             results, trials, self.out / "identify.html", self._origin(notes, emg), emg.envelopes if emg else None
         )
-        return lines
+        return [*lines, *results.remarks, *unusable]
 
     def _origin(self, notes: list[str], emg: "UseOfEmg | None" = None) -> "Origin":
         """What the page says of where its results come from."""

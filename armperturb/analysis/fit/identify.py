@@ -126,16 +126,21 @@ class Identifications(Result, Mapping[str, Identification]):
     def __len__(self) -> int:
         return len(self._by_condition)
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What fits say of themselves, each once, after the conditions that it is said of unless these are all."""
+        whose: dict[str, dict[str, None]] = {}
+        for condition, result in self.items():
+            for remark in result.fit.remarks:
+                whose.setdefault(remark, {})[condition] = None
+        return tuple(said if len(of) == len(self) else f"{', '.join(of)}: {said}" for said, of in whose.items())
+
     def describe(self) -> Description:
         """Who was identified, how well each arm predicts, and the estimates of all conditions side by side."""
         first = next(iter(self.values())).fit
         names = dict.fromkeys(name for result in self.values() for name in result.fit.values)
         models = {condition: f"model {result.fit.structure}, " for condition, result in self.items()}
         shared = models[first.condition] if len(set(models.values())) == 1 else ""
-        whose: dict[str, dict[str, None]] = {}
-        for condition, result in self.items():
-            for remark in result.fit.remarks:
-                whose.setdefault(remark, {})[condition] = None
         return Description(
             title=f"Arm of {first.arm.name} in {len(self)} condition{'' if len(self) == 1 else 's'}: "
             f"{shared}{ESTIMATOR_NAMES[first.estimator]}",
@@ -149,7 +154,7 @@ class Identifications(Result, Mapping[str, Identification]):
                 ("parameter", "unit", *self),
                 tuple((name, unit(name), *(_with_error(of.fit, name) for of in self.values())) for name in names),
             ),
-            remarks=tuple(said if len(of) == len(self) else f"{', '.join(of)}: {said}" for said, of in whose.items()),
+            remarks=self.remarks,
             details=("Estimates +/- standard errors; to_frame() has 95 % intervals.",),
         )
 
@@ -275,16 +280,13 @@ def identify_conditions(
     Args:
       trials: condition to trials of one subject, those of one length together, or their recordings; a condition's have
         the same posture.
-      model: structure, or its name (see `structures.STRUCTURES`); bounds that are the thesis's are kept with the
-        thesis's estimator only, and are those of `Structure.widened` with others. A structure that is not a named one
-        is fitted in the geometry of the start posture where the trials ask for it, see `ladder.nearest_to_linear`. None
-        lets the trials of each condition choose, see `ladder.choose_structure`.
+      model: structure, or its name, see `identify`. None lets the trials of each condition choose.
       estimator: "thesis", "frequency" or "record".
       share: parameters that are the same in all conditions, which then are fitted together, see `maximum_likelihood`.
       window_start: start of the window of whole periods, after the transient has died away [s].
       period: of the disturbance [s]; None to find it, in each condition.
-      lines_per_average: of the spectra, see `estimate_spectra`; maximum likelihood estimates use every line.
-      emg: EMG that tells of reflexes as well; with maximum likelihood only. The structure is chosen without it.
+      lines_per_average: of the spectra, see `identify`.
+      emg: EMG that tells of reflexes as well, see `identify`.
       progress: called with each condition once its arm is fitted.
 
     Returns:
@@ -347,11 +349,7 @@ def identify_conditions(
             fits = {label: told_of_emg(fit, emg, conditions[label][0]) for label, fit in fits.items()}
     is_cut = estimator != "record" or emg is not None
     said = {
-        label: (
-            *remarks_on_trials(parts),
-            *(cut_by_pulses(parts) if is_cut else ()),
-            *remark_on_manipulators(parts),
-        )
+        label: (*remarks_on_trials(parts), *(cut_by_pulses(parts) if is_cut else ()), *remark_on_manipulators(parts))
         for label, parts in conditions.items()
     }
     return Identifications(

@@ -39,7 +39,7 @@ Result = TypeVar("Result")
 VERSIONS = {
     "person": 9,
     "step-2": 7,
-    "nonlinear": 6,
+    "nonlinear": 7,
     "mechanisms": 1,
     "moving-shoulder": 2,
     "figure": 2,
