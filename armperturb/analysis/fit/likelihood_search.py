@@ -35,6 +35,9 @@ that leave something out lead no further."""
 UNUSUAL = 2.0
 """Factor by which delays and cut-offs are unusual if they differ by more from those of the structures' starts [-]."""
 
+NEAR = 2.0
+"""Twice the gain of likelihood that a step promises up to which it may be near a maximum [-]."""
+
 SHORTENED = 0.8
 """Share of a step up to which it is shortened, where a parabola says that this is better [-]."""
 
@@ -163,7 +166,8 @@ def search_from(
 def _best_along(problem: Searchable, normal: Normal, values: Array, after: Array, cost: float) -> Array:
     """Where a step should end, by the parabola through the costs at both ends and the slope at the first.
 
-    Curvature that Gauss and Newton leave out makes steps too long: a search would go to and fro across its valley.
+    Curvature that Gauss and Newton leave out makes steps too long: a search would go to and fro across its valley. Far
+    from a maximum, a step is as likely to find a better one whatever its length.
 
     Args:
       problem: the likelihood.
@@ -174,7 +178,7 @@ def _best_along(problem: Searchable, normal: Normal, values: Array, after: Array
     """
     gain = 2.0 * float(normal.slope @ (after - values))
     share = 0.5 * gain / (cost - normal.cost + gain) if cost - normal.cost > -0.5 * gain else 1.0
-    if share > SHORTENED:
+    if share > SHORTENED or gain > NEAR:
         return after
     between = values + share * (after - values)
     return between if problem.cost(between) < cost else after
