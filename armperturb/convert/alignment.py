@@ -225,7 +225,7 @@ def joined(
         least, rate = min(lengths), first.rates[name]
         if max(lengths) > least:
             odd = trials[int(np.argmin(lengths))]
-            text = f"{odd.where}: {name} lasts {least / rate:.6g} s, in other trials {max(lengths) / rate:.6g} s"
+            text = f"{odd.where}: {name} lasts {least / rate:.6g} s, other trials up to {max(lengths) / rate:.6g} s"
             if "lengths" not in repair:
                 raise ValueError(f"{text}; expected equal lengths (convert --repair lengths cuts all)")
             notes.append(f"{text}: all are cut to the shortest")

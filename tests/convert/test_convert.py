@@ -671,7 +671,7 @@ def test_unequal_lengths_are_refused_and_cut_if_asked(tmp_path):
     values = table()[:-40]
     path = write(tmp_path, values)
     with pytest.raises(
-        ValueError, match=r"trial '2': perturbation lasts 5.8 s, in other trials 6 s; .*--repair length"
+        ValueError, match=r"trial '2': perturbation lasts 5.8 s, other trials up to 6 s; .*--repair length"
     ):
         import_recording([path])
     found = import_recording([path], repair=["lengths"])

@@ -120,7 +120,7 @@ TEXTS = {
     "pounds": (edited(lambda v: v / [1, 1, 1, 1, 4.448, 4.448, 1, 1]), "force were multiplied by 4.448"),
     "huge": (edited(lambda v: put(v, 600, "Fx", 1e300)), "force is 1e+300 at sample 600; expected numbers"),
     "unrelated": (edited(lambda v: put(v, slice(None), "Fx", np.sin(v[:, 1]) + v[:, 1])), "no change of signs"),
-    "unequal": (edited(lambda v: v[:-30]), "lasts 5.85 s, in other trials 6 s"),
+    "unequal": (edited(lambda v: v[:-30]), "lasts 5.85 s, other trials up to 6 s"),
     "trial unnumbered": (edited(lambda v: put(v, 3, "trial", np.nan)), "trial of sample 3 is nan"),
     "trials mixed": (edited(lambda v: v[np.argsort(v[:, 1], kind="stable")]), "again at sample"),
     "199.3 Hz": (with_time(table(rate=199.3)), "time runs at 199.3 Hz"),
