@@ -128,18 +128,22 @@ def standing_still(recording: xr.Dataset) -> list[str]:
       recording: the trials, see `wrong_joint`.
     """
     trials, n_time = before_limit(recording)
-    perturbation = recording["perturbation"].values if "perturbation" in recording.data_vars else None
-    is_driven = perturbation is None or bool(perturbation.any())
-    names = ["force"] if recording.attrs["servo"] == "position" else ["force", "displacement"]
+    numbers, has_perturbation = recording["trial"].values[trials], "perturbation" in recording.data_vars
+    perturbation = recording["perturbation"].values[trials, :n_time] if has_perturbation else [None] * len(numbers)
+    is_driven = not has_perturbation or bool(recording["perturbation"].values.any())
     said = []
-    for name in names:
+    for name in ("force", "displacement"):
+        is_imposed = name == "displacement" and recording.attrs["servo"] == "position"  # which may hold its position
         constant, clipped = [], []
-        for number in np.arange(recording.sizes["trial"])[trials].tolist():
-            values = recording[name].values[number, :n_time, 0]
-            if np.ptp(values) == 0.0:
-                constant.append(f"{number + 1} (at {values[0]:.4g})")
-            elif plateaus := clipped_stretches(values, may_rest=not is_driven):
-                clipped.append(f"{number + 1} (at {values[plateaus[0][0]]:.4g}, {len(plateaus)} times)")
+        for number, values, d in zip(numbers, recording[name].values[trials], perturbation, strict=True):
+            of_trial = values[:n_time, 0]
+            if np.ptp(of_trial) == 0.0:
+                constant.append(f"{number} (at {of_trial[0]:.4g})")
+                continue
+            plateaus = [] if is_imposed else clipped_stretches(of_trial, may_rest=not is_driven)
+            plateaus = [(first, end) for first, end in plateaus if d is None or np.ptp(d[first:end]) > 0.0]
+            if plateaus:
+                clipped.append(f"{number} (at {of_trial[plateaus[0][0]]:.4g}, {len(plateaus)} times)")
         for what, where in (("constant", constant), ("clipped", clipped)):
             if where and (what == "clipped" or is_driven):
                 several = "trials" if len(where) > 1 else "trial"

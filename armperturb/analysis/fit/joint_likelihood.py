@@ -356,7 +356,10 @@ class JointLikelihood:
             information += self.normal(place).information
             if scaled(information)[1][0] > SINGULAR:
                 return
-        require_informative(information, self.names)
+        try:
+            require_informative(information, self.names)
+        except ValueError as error:
+            raise ValueError(f"{', '.join(group.label for group in self.groups)}: {error}") from None
 
 
 def errors_by_manipulator(likelihood: Likelihood, trials: ConditionTrials, values: Array, mixing: Array) -> Array:

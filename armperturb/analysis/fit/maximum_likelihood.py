@@ -266,8 +266,12 @@ def _begun(
     initial: Mapping[str, float] | None,
     *,
     is_near: bool = False,
+    is_start: bool = False,
 ) -> Begun:
-    """Search by the law that the EMG of the groups has; where values are near, no other start is tried."""
+    """Search by the law that the EMG of the groups has; where values are near, no other start is tried.
+
+    What is but a start need not identify the structure.
+    """
     require_one_of("estimate", "method", method, get_args(Method))
     if not groups:
         raise ValueError("groups is empty; expected the trials of at least one condition")
@@ -285,7 +289,7 @@ def _begun(
         initial = _alone(problem, method, shared_names(groups, share))
     first = problem.stabilised(problem.initial(initial or {}))
     search = search_best(problem, first)
-    if scaled(search.information)[1][0] <= SINGULAR:
+    if not is_start and scaled(search.information)[1][0] <= SINGULAR:
         problem.require_identifiable(first)
     problem.weigh(search.values)
     fit = problem.lack_of_fit(search.values)
@@ -313,7 +317,7 @@ def _alone(problem: JointLikelihood, method: Method, shared: Set[str]) -> dict[s
     values: dict[str, float] = {}
     total, weight = dict.fromkeys(shared, 0.0), dict.fromkeys(shared, 0.0)
     for group in problem.groups:
-        begun = _begun([group], method, (), None)
+        begun = _begun([group], method, (), None, is_start=True)
         scale, power, directions = scaled(begun.search.information)
         precision = scale**2 / np.sum(directions**2 / np.maximum(power, SINGULAR), axis=1)
         ends = zip(begun.problem.names, begun.search.values.tolist(), precision.tolist(), strict=True)

@@ -14,7 +14,7 @@ from scipy import stats
 from armperturb.analysis.fit.trial_effects import inverse
 from armperturb.analysis.joint.estimate import JointEstimate
 from armperturb.analysis.joint.likelihood import JointLikelihood, Loop
-from armperturb.analysis.joint.part_differences import CHANCE, DIFFERENT, QUANTITIES
+from armperturb.analysis.joint.part_differences import CHANCE, DIFFERENT, QUANTITIES, telling_trials
 from armperturb.analysis.joint.signals import JointSignals
 from armperturb.analysis.results import plain
 from armperturb.arrays import Array
@@ -27,7 +27,8 @@ class OddTrials(NamedTuple):
     """Trials whose inertia is not that of the others.
 
     Attributes:
-      inertia: number of such a trial, from 1, to its inertia [kg m^2, or kg]; of two trials that differ, both.
+      inertia: number of such a trial, see `JointSignals.numbers`, to its inertia [kg m^2, or kg]; of two trials that
+        differ, both.
       others: inertia of the other trials together; None where there are two trials, of which either may be right.
     """
 
@@ -70,7 +71,12 @@ def odd_trials(fit: JointEstimate, signals: JointSignals, loop: Loop | None) -> 
         return OddTrials({}, None)
     likelihood.weigh(fit.values)
     slopes = likelihood.derivatives(fit.values, likelihood.movement(fit.values))[places]
-    values, variances = _alone(slopes, likelihood.residual(fit.values), float(fit.values[places[0]]))
+    left = telling_trials(np.einsum("ptn,qtn->tpq", slopes, slopes)).tolist()
+    if len(left) < 2:
+        return OddTrials({}, None)
+    slopes, residual = slopes[:, left], likelihood.residual(fit.values)[left]
+    values, variances = _alone(slopes, residual, float(fit.values[places[0]]))
+    numbers = [signals.numbers[trial] for trial in left]
     limit = float(stats.norm.isf(CHANCE / (2 * len(values))))
     left, odd = list(range(len(values))), []
     while len(left) > 1:
@@ -81,9 +87,10 @@ def odd_trials(fit: JointEstimate, signals: JointSignals, loop: Loop | None) -> 
         if abs(apart[furthest]) < max(limit * error[furthest], DIFFERENT * abs(others[furthest][0])):
             break
         if len(values) == 2:
-            return OddTrials({trial + 1: float(values[trial]) for trial in left}, None)
+            return OddTrials({numbers[trial]: float(values[trial]) for trial in left}, None)
         odd.append(left.pop(furthest))
-    return OddTrials({trial + 1: float(values[trial]) for trial in sorted(odd)}, _mean(values, variances, left)[0])
+    inertia = {numbers[trial]: float(values[trial]) for trial in sorted(odd)}
+    return OddTrials(inertia, _mean(values, variances, left)[0])
 
 
 def _alone(slopes: Array, residual: Array, inertia: float) -> tuple[Array, Array]:

@@ -13,12 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from armperturb.analysis.fit.trial_effects import inverse
+from armperturb.analysis.fit.trial_effects import SINGULAR, inverse, scaled
 from armperturb.analysis.joint.estimate import JointEstimate
 from armperturb.analysis.joint.likelihood import N_BLOCKS, JointLikelihood, Loop
 from armperturb.analysis.joint.signals import JointSignals
 from armperturb.analysis.results import plain
-from armperturb.arrays import Array
+from armperturb.arrays import Array, Indices
 
 QUANTITIES = ("inertia", "damping", "stiffness", "reflex_gain")
 """What is compared."""
@@ -107,7 +107,8 @@ def part_differences(fit: JointEstimate, signals: JointSignals, loop: Loop | Non
     courses = [("the record", np.zeros(len(places)), score.sum(axis=0), information.sum(axis=0))]
     if likelihood.n_trials > 1:
         courses = [("all trials", *courses[0][1:])]
-        courses += [(f"trial {t + 1}", *each) for t, each in enumerate(zip(shifts, score, information, strict=True))]
+        telling = telling_trials(information.sum(axis=1)).tolist()
+        courses += [(f"trial {signals.numbers[t]}", shifts[t], score[t], information[t]) for t in telling]
     differences = []
     for where, change, s, f in courses:
         values = fit.values[places] + change
@@ -123,6 +124,19 @@ def part_differences(fit: JointEstimate, signals: JointSignals, loop: Loop | Non
     largest = max((each.largest for each in differences), default=0.0)
     # The first is what all trials have in common: it is named unless the parts of a single trial differ by much more.
     return next((each for each in differences if each.largest >= 0.5 * largest), PartDifferences({}))
+
+
+def telling_trials(information: Array) -> Indices:
+    """Trials that tell of all that is compared, (telling trial,): one without movement tells of nothing but round-off.
+
+    Args:
+      information: of each trial, (trial, quantity, quantity).
+    """
+    most = np.diagonal(information, axis1=1, axis2=2).max(axis=0)
+    is_telling = [
+        bool((np.diag(each) > SINGULAR * most).all() and scaled(each)[1][0] > SINGULAR) for each in information
+    ]
+    return np.flatnonzero(is_telling)
 
 
 def _spread(values: Array, score: Array, information: Array, n_parts: int, chance: float) -> Array:
@@ -143,7 +157,8 @@ def _spread(values: Array, score: Array, information: Array, n_parts: int, chanc
     chi2 = np.sum(weight * (apart - np.sum(weight * apart, axis=0) / total) ** 2, axis=0)
     beyond = (chi2 - (n_parts - 1)) / (total - np.sum(weight**2, axis=0) / total)
     significant = stats.chi2.sf(chi2, n_parts - 1) < chance
-    return np.asarray(np.where(significant, np.sqrt(np.maximum(beyond, 0.0)) / np.abs(values), 0.0))
+    apart_by = np.sqrt(np.where(significant, np.maximum(beyond, 0.0), 0.0))
+    return np.divide(apart_by, np.abs(values), out=np.zeros_like(apart_by), where=apart_by > 0.0)
 
 
 def _most_apart(score: Array, information: Array, least: int) -> tuple[int, tuple[Array, Array]]:

@@ -50,6 +50,7 @@ class JointSignals:
       servo: "force" or "position".
       beyond: power of the velocity from `top` to `NEXT` times that, over its power below [-].
       settle: what is left out at the start of each trial [s].
+      numbers: of the trials in what was recorded, from 0 unless its coordinate `trial` has others.
     """
 
     angle: Array
@@ -63,6 +64,7 @@ class JointSignals:
     servo: str
     beyond: float
     settle: float = SETTLE
+    numbers: tuple[int, ...] = ()
 
     @property
     def used(self) -> slice:
@@ -142,6 +144,7 @@ def joint_signals(
         servo=str(recording.attrs["servo"]),
         beyond=beyond(x),
         settle=settle,
+        numbers=tuple(recording["trial"].values.tolist()),
     )
 
 

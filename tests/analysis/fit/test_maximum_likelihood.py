@@ -17,7 +17,7 @@ from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.trial import Trial
-from armperturb.perturbations import Multisine
+from armperturb.perturbations import Multisine, Sampled
 from armperturb.subject import POSITION, RELAX
 
 RMS = {"PT": 5.4, "RT": 0.9}
@@ -177,6 +177,32 @@ def test_a_shared_mass_is_one_value_and_better_known_than_from_either_condition_
     started = estimate(groups, share=["m_tot", "velocity"], initial={"m_tot": 4.0, "kv_s": 12.0, "k_e [PT7.5]": 150.0})
     assert started.converged
     assert "kv_s" in started.values
+
+
+@pytest.mark.slow(reason="simulates and fits two conditions")
+def test_what_a_condition_leaves_open_is_known_by_sharing(relax_group):
+    wave = 4.0 * np.cos(2 * np.pi * 4.1015625 * np.arange(23 * 200) / 200.0)[:, None]  # a whole number per 10.24 s
+    trials = [
+        Trial(
+            subject=RELAX,
+            perturbation=Sampled(force=wave * axes, rate=200.0),
+            condition="sine",
+            repetition=number,
+            seed=number,
+            noise=HUMAN_NOISE["RT"],
+        )
+        for number, axes in enumerate(np.tile(np.eye(2), (2, 1)))
+    ]
+    sine = group_of(
+        run_experiment(trials, linear=True, instruments=INSTRUMENTS, engine="compiled"), "1", window_start=2
+    )
+    with pytest.raises(ValueError, match=r"sine: the structure cannot be identified: a change of .* m_h"):
+        estimate([sine])
+    together = estimate([relax_group, sine], share=["mass", "grip"])
+    assert together.converged
+    for name in ("k_s", "k_e", "b_s", "b_e"):
+        error = together.standard_error[f"{name} [sine]"]
+        assert abs(together.values[f"{name} [sine]"] - getattr(RELAX, name)) < 4.0 * error, name
 
 
 @pytest.mark.slow(reason="fits again for each point of a profile")

@@ -60,7 +60,7 @@ def test_parts_of_a_single_trial_or_of_all_trials():
     assert differences(stiffer(trials, np.where(later, 1.5, np.ones((5, 1))))).where == "all trials"
     dying = trials["force"].values * np.where(later & (number == 2), 0.0, 1.0)[..., None]
     single = differences(trials.assign(force=trials["force"].copy(data=dying)))
-    assert single.where == "trial 3"
+    assert single.where == "trial 2"
     assert single.at == pytest.approx(5.0, abs=0.6)
     few = trials.isel(time=slice(0, 4000))
     assert not differences(few).spread

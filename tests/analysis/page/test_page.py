@@ -204,6 +204,21 @@ def test_a_fit_to_pulses_alone_has_a_page(tmp_path):
     assert "from what precedes the pulses" not in text
 
 
+@pytest.mark.slow(reason="draws a page")
+@pytest.mark.usefixtures("blank_pictures")
+def test_conditions_of_both_tasks_are_told_by_task(identified, tmp_path):
+    results, trials = identified
+    first, other = results.values()
+    tasks = {"PT": "keeps the position", "RT": "relaxes"}
+    task = next(each for each in tasks if each != first.fit.arm.task)
+    arm = replace(other.fit.arm, task=task)
+    of_both = Identifications({"multisine": first, "pulsed": replace(other, fit=replace(other.fit, arm=arm))})
+    write_page(of_both, trials, tmp_path / "identify.html", Origin())
+    text = " ".join(" ".join(Content((tmp_path / "identify.html").read_text(encoding="utf-8")).text).split())
+    assert f"{tasks[first.fit.arm.task]}: multisine, 3 trials" in text
+    assert f"{tasks[task]}: pulsed, 3 trials" in text
+
+
 def test_clipped_and_constant_samples_are_counted(identified):
     _, trials = identified
     recording = trials["multisine"][0].recording.copy(deep=True)
