@@ -161,17 +161,18 @@ class Camera:
         if self._window is None:
             raise RuntimeError("Camera: is closed; expected an open one")
         require_own_process()
-        self._eye.fixedcamid = self._view(view)
+        fixed = self._view(view)
         pose = np.asarray(self.model.qpos0 if qpos is None else qpos, dtype=float)
         if pose.shape != (self.model.nq,):
             raise ValueError(f"Camera: qpos of shape {pose.shape}; expected ({self.model.nq},)")
         picture = np.empty((self.height, self.width, 3), dtype=np.uint8) if out is None else out
-        self._update(pose)
-        if trail is not None:
-            self._add_trail(np.asarray(trail, dtype=float))
-        for arrow in arrows:
-            self._add_arrow(arrow)
-        with self._window:
+        with self._window:  # the scene is the camera's, too: one thread at a time
+            self._eye.fixedcamid = fixed
+            self._update(pose)
+            if trail is not None:
+                self._add_trail(np.asarray(trail, dtype=float))
+            for arrow in arrows:
+                self._add_arrow(arrow)
             mujoco.mjr_render(self._rectangle, self._scene, self._context)
             mujoco.mjr_readPixels(picture, None, self._rectangle, self._context)
         picture[:] = picture[::-1].copy()  # OpenGL's first row is the lowest

@@ -105,11 +105,12 @@ def test_a_state_has_one_picture_whatever_was_drawn_before(model):
 @needs_gl
 def test_any_thread_may_draw_and_close(model):
     camera = Camera(model, width=64, height=48)
-    expected = camera.draw()
-    with ThreadPoolExecutor(3) as threads:
-        for picture in threads.map(lambda _: camera.draw(), range(6)):
-            np.testing.assert_array_equal(picture, expected)
-        np.testing.assert_array_equal(camera.draw(), expected)
+    poses = [[*RELAX.posture, x, 0.0] for x in (-0.15, -0.05, 0.05, 0.15)]
+    expected = [camera.draw(pose, "top") for pose in poses]
+    with ThreadPoolExecutor(4) as threads:
+        for pictures in zip(expected, threads.map(lambda pose: camera.draw(pose, "top"), poses), strict=True):
+            np.testing.assert_array_equal(*pictures)
+        np.testing.assert_array_equal(camera.draw(poses[0], "top"), expected[0])
         threads.submit(camera.close).result()
     with pytest.raises(RuntimeError, match="is closed"):
         camera.draw()
