@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import xarray as xr
@@ -50,22 +50,38 @@ def before_limit(recording: xr.Dataset) -> tuple[list[int], int]:
     return (inside, n_time) if inside else (list(range(len(limit))), int(limit.min()))
 
 
-def inside_limit(recordings: Sequence[xr.Dataset]) -> tuple[list[xr.Dataset], tuple[str, ...]]:
+class Numbered(Protocol):
+    """A recording of which trials may have been left out, and the numbers of those that are there."""
+
+    @property
+    def recording(self) -> xr.Dataset:
+        """What is there."""
+        ...
+
+    @property
+    def numbers(self) -> Indices:
+        """Which trials these are, (trial,)."""
+        ...
+
+
+def inside_limit(several: Sequence[Numbered]) -> tuple[list[xr.Dataset], tuple[str, ...]]:
     """Trials that never met the workspace limit; or, if all did, the samples of each recording before any met it.
 
     Returns:
-      Recordings that have such trials, and a remark on what was left out; none where nothing was.
+      Recordings that have such trials, whose coordinate `trial` has their numbers, and a remark on what was left out;
+      none where nothing was.
 
     Raises:
       ValueError: all trials met the limit, and one did so from the start.
     """
+    recordings = [each.recording.assign_coords(trial=each.numbers) for each in several]
     parts = [before_limit(recording) for recording in recordings]
     n_trials = sum(recording.sizes["trial"] for recording in recordings)
     pairs = list(zip(recordings, parts, strict=True))
     inside = [(recording, trials) for recording, (trials, n) in pairs if n == recording.sizes["time"]]
     n_left_out = n_trials - sum(len(trials) for _, trials in inside)
     if not n_left_out:
-        return list(recordings), ()
+        return recordings, ()
     met = "met the workspace limit (limit_time)"
     if inside:
         said = f"{n_left_out} of {n_trials} trials {met} and are left out"

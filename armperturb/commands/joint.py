@@ -44,6 +44,7 @@ class Joint(Command):
 
     def run(self) -> list[str]:
         """Simulate the trials and write the recording."""
+        from armperturb.analysis.joint.signals import LEAST_RATE
         from armperturb.envs.lab.joint_experiment import JointTrial, at_signal_to_noise, run_joint_experiment
         from armperturb.joint_person import JOINT_PEOPLE, JointPerson, half_wave, servo_of
         from armperturb.perturbations.one_axis import RECORDED_SPEED, imposed_movement, random_noise
@@ -53,7 +54,7 @@ class Joint(Command):
         require_number("joint", "duration", self.duration, at_least=1.0, at_most=3600.0)
         require_number("joint", "trials", self.trials, at_least=1, at_most=1000, whole=True)
         require_number("joint", "level", self.level, at_least=0.0)
-        require_number("joint", "rate", self.rate, at_least=50.0)  # as identify asks for
+        require_number("joint", "rate", self.rate, at_least=LEAST_RATE)
         require_number("joint", "seed", self.seed, at_least=0, whole=True)
         require_number("joint", "signal_to_noise", self.signal_to_noise, at_least=-100.0, at_most=200.0, optional=True)
         require_ending(self.out)

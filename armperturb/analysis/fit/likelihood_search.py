@@ -143,45 +143,53 @@ def search_from(
         whole = bounded_step(normal, 0.0, *room)
         if step_size(normal, whole) < settled:
             return Searched(values, normal.information, CONVERGED, True, n_rounds)
-        # Along what trials hardly tell, steps are small beside the error that is left, and large beside round-off.
-        is_maximum = float(normal.slope @ whole) < settled**2
-        failed = CONVERGED if is_maximum else "not converged: {}"
         while True:
             step = bounded_step(normal, damping, *room) if damping else whole
             after = np.clip(values + step, problem.lower, problem.upper)
             if not problem.pole(after) < limit:
                 reason = "at the border of stability"
             elif (cost := problem.cost(after)) < normal.cost:
-                after = _best_along(problem, normal, values, after, cost)
+                between = _best_along(normal, values, after, cost)
+                if between is not after and problem.pole(between) < limit and problem.cost(between) < cost:
+                    after = between
                 break
             damping = max(10.0 * damping, 1e-3)
             if damping > 1e8:
-                return Searched(values, normal.information, failed.format(reason), is_maximum, n_rounds)
+                return _stopped(values, normal, whole, settled, reason, n_rounds)
         if n_rounds > weighed and step_size(normal, after - values) < STALLED * settled:
-            return Searched(after, normal.information, failed.format(reason), is_maximum, n_rounds)
+            return _stopped(after, normal, whole, settled, reason, n_rounds)
         values, damping = after, damping / 10.0 if damping > 1e-6 else 0.0
     return Searched(values, normal.information, f"not converged: {most} steps were not enough", False, most)
 
 
-def _best_along(problem: Searchable, normal: Normal, values: Array, after: Array, cost: float) -> Array:
+def _stopped(values: Array, normal: Normal, whole: Array, settled: float, reason: str, n_rounds: int) -> Searched:
+    """The end of a search that finds no further step, with the last normal equations and whole step.
+
+    It is a maximum if that step promises next to nothing: along what trials hardly tell, steps are small beside the
+    error that is left, and large beside round-off.
+    """
+    is_maximum = float(normal.slope @ whole) < settled**2
+    status = CONVERGED if is_maximum else f"not converged: {reason}"
+    return Searched(values, normal.information, status, is_maximum, n_rounds)
+
+
+def _best_along(normal: Normal, values: Array, after: Array, cost: float) -> Array:
     """Where a step should end, by the parabola through the costs at both ends and the slope at the first.
 
     Curvature that Gauss and Newton leave out makes steps too long: a search would go to and fro across its valley. Far
     from a maximum, a step is as likely to find a better one whatever its length.
 
     Args:
-      problem: the likelihood.
       normal: at the start of the step.
       values: there, (parameter,).
-      after: end of the step.
+      after: end of the step, which is returned where a shorter one promises little.
       cost: there.
     """
     gain = 2.0 * float(normal.slope @ (after - values))
-    share = 0.5 * gain / (cost - normal.cost + gain) if cost - normal.cost > -0.5 * gain else 1.0
-    if share > SHORTENED or gain > NEAR:
+    curvature = cost - normal.cost + gain
+    if gain > NEAR or 0.5 * gain > SHORTENED * curvature:
         return after
-    between = values + share * (after - values)
-    return between if problem.cost(between) < cost else after
+    return np.asarray(values + 0.5 * gain / curvature * (after - values))
 
 
 def search_best(problem: JointLikelihood, start: Array) -> Searched:

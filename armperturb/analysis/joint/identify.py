@@ -248,10 +248,8 @@ def identify_joint(
     check_recording(recording)
     require_one_of("identify", "reflex", reflex, (None, *REFLEXES))
     values = one_condition([recording])
-    if "trial" not in recording.coords:  # so that those which are not left out keep their numbers
-        recording = recording.assign_coords(trial=np.arange(recording.sizes["trial"]))
     each_once = without_copies(recording)
-    (recording,), left_out = inside_limit([each_once.recording])
+    (recording,), left_out = inside_limit([each_once])
     rate = float(recording.attrs["rate"])
     duration = recording.sizes["time"] / rate
     require_number("identify", "fit_until", fit_until, at_least=SHORTEST, at_most=duration - 1.0, optional=True)

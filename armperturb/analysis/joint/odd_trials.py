@@ -13,8 +13,8 @@ from scipy import stats
 
 from armperturb.analysis.fit.trial_effects import inverse
 from armperturb.analysis.joint.estimate import JointEstimate
-from armperturb.analysis.joint.likelihood import JointLikelihood, Loop
-from armperturb.analysis.joint.part_differences import CHANCE, DIFFERENT, QUANTITIES, telling_trials
+from armperturb.analysis.joint.likelihood import Loop
+from armperturb.analysis.joint.part_differences import CHANCE, DIFFERENT, telling_trials, white_slopes
 from armperturb.analysis.joint.signals import JointSignals
 from armperturb.analysis.results import plain
 from armperturb.arrays import Array
@@ -64,33 +64,30 @@ def odd_trials(fit: JointEstimate, signals: JointSignals, loop: Loop | None) -> 
       signals: of these.
       loop: the virtual environment of a force servo; None of a position servo.
     """
-    names = fit.structure.parameters
-    places = [place for place, name in enumerate(names) if name in QUANTITIES and not fit.at_bound[place]]
-    likelihood = JointLikelihood(fit.structure, signals, loop)
-    if likelihood.n_trials < 2 or "inertia" not in [names[place] for place in places]:
+    white = white_slopes(fit, signals, loop)
+    if white is None or white.likelihood.n_trials < 2 or white.names[0] != "inertia":
         return OddTrials({}, None)
-    likelihood.weigh(fit.values)
-    slopes = likelihood.derivatives(fit.values, likelihood.movement(fit.values))[places]
-    left = telling_trials(np.einsum("ptn,qtn->tpq", slopes, slopes)).tolist()
-    if len(left) < 2:
+    telling = telling_trials(np.einsum("ptn,qtn->tpq", white.slopes, white.slopes)).tolist()
+    if len(telling) < 2:
         return OddTrials({}, None)
-    slopes, residual = slopes[:, left], likelihood.residual(fit.values)[left]
-    values, variances = _alone(slopes, residual, float(fit.values[places[0]]))
-    numbers = [signals.numbers[trial] for trial in left]
+    residual = white.likelihood.residual(fit.values)[telling]
+    values, variances = _alone(white.slopes[:, telling], residual, float(white.values[0]))
+    numbers = [signals.numbers[trial] for trial in telling]
     limit = float(stats.norm.isf(CHANCE / (2 * len(values))))
     left, odd = list(range(len(values))), []
     while len(left) > 1:
-        others = [_mean(values, variances, [each for each in left if each != trial]) for trial in left]
-        apart = np.array([values[trial] - mean for trial, (mean, _) in zip(left, others, strict=True)])
-        error = np.sqrt([variances[trial] + variance for trial, (_, variance) in zip(left, others, strict=True)])
+        weights, weighed = 1.0 / variances[left], values[left] / variances[left]
+        of_others = weights.sum() - weights
+        others = (weighed.sum() - weighed) / of_others
+        apart, error = values[left] - others, np.sqrt(variances[left] + 1.0 / of_others)
         furthest = int(np.argmax(np.abs(apart) / error))
-        if abs(apart[furthest]) < max(limit * error[furthest], DIFFERENT * abs(others[furthest][0])):
+        if abs(apart[furthest]) < max(limit * error[furthest], DIFFERENT * abs(others[furthest])):
             break
         if len(values) == 2:
             return OddTrials({numbers[trial]: float(values[trial]) for trial in left}, None)
         odd.append(left.pop(furthest))
     inertia = {numbers[trial]: float(values[trial]) for trial in sorted(odd)}
-    return OddTrials(inertia, _mean(values, variances, left)[0])
+    return OddTrials(inertia, float(np.average(values[left], weights=1.0 / variances[left])))
 
 
 def _alone(slopes: Array, residual: Array, inertia: float) -> tuple[Array, Array]:
@@ -110,9 +107,3 @@ def _alone(slopes: Array, residual: Array, inertia: float) -> tuple[Array, Array
     power = np.mean(left**2, axis=1)
     louder = np.maximum(1.0, power / np.median(power))
     return inertia + np.array([shift[0] for shift in shifts]), louder * np.array([each[0, 0] for each in covariances])
-
-
-def _mean(values: Array, variances: Array, trials: list[int]) -> tuple[float, float]:
-    """Weighted mean of the values of some trials, and its variance."""
-    weights = 1.0 / variances[trials]
-    return float(weights @ values[trials] / weights.sum()), float(1.0 / weights.sum())

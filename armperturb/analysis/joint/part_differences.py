@@ -81,6 +81,22 @@ class PartDifferences(NamedTuple):
         )
 
 
+class WhiteSlopes(NamedTuple):
+    """Derivatives of torque at an estimate, white under its noise.
+
+    Attributes:
+      likelihood: of the trials, weighed.
+      names: of the quantities.
+      values: of these, (quantity,).
+      slopes: (quantity, trial, number).
+    """
+
+    likelihood: JointLikelihood
+    names: tuple[str, ...]
+    values: Array
+    slopes: Array
+
+
 def part_differences(fit: JointEstimate, signals: JointSignals, loop: Loop | None) -> PartDifferences:
     """How much parts of trials differ, if it is significant.
 
@@ -91,39 +107,54 @@ def part_differences(fit: JointEstimate, signals: JointSignals, loop: Loop | Non
     """
     duration = (signals.used.stop - signals.used.start) / signals.rate
     n_parts = min(N_BLOCKS, int(duration / SHORTEST_PART))
-    names = fit.structure.parameters
-    places = [place for place, name in enumerate(names) if name in QUANTITIES and not fit.at_bound[place]]
-    if n_parts < 2 or not places:
+    white = white_slopes(fit, signals, loop)
+    if n_parts < 2 or white is None:
         return PartDifferences({})
-    likelihood = JointLikelihood(fit.structure, signals, loop)
-    likelihood.weigh(fit.values)
-    slopes = likelihood.derivatives(fit.values, likelihood.movement(fit.values))[places]
+    likelihood, names, estimates, slopes = white
     n_pieces = int(duration / PIECE)
     pieces = likelihood.block_scores(likelihood.residual(fit.values), slopes, n_pieces)
-    score = np.array([each.score for each in pieces]).reshape(-1, n_pieces, len(places))
-    information = np.array([each.information for each in pieces]).reshape(*score.shape, len(places))
+    score = np.array([each.score for each in pieces]).reshape(-1, n_pieces, len(names))
+    information = np.array([each.information for each in pieces]).reshape(*score.shape, len(names))
     shifts = [inverse(each) @ s for each, s in zip(information.sum(axis=1), score.sum(axis=1), strict=True)]
     score -= np.einsum("tpij,tj->tpi", information, shifts)
-    courses = [("the record", np.zeros(len(places)), score.sum(axis=0), information.sum(axis=0))]
+    courses = [("the record", np.zeros(len(names)), score.sum(axis=0), information.sum(axis=0))]
     if likelihood.n_trials > 1:
         courses = [("all trials", *courses[0][1:])]
         telling = telling_trials(information.sum(axis=1)).tolist()
         courses += [(f"trial {signals.numbers[t]}", shifts[t], score[t], information[t]) for t in telling]
     differences = []
     for where, change, s, f in courses:
-        values = fit.values[places] + change
-        spread = _spread(values, s, f, n_parts, CHANCE / (len(courses) * len(places)))
-        differing = {names[place]: float(each) for place, each in zip(places, spread, strict=True) if each >= DIFFERENT}
+        values = estimates + change
+        spread = _spread(values, s, f, n_parts, CHANCE / (len(courses) * len(names)))
+        differing = {name: float(each) for name, each in zip(names, spread, strict=True) if each >= DIFFERENT}
         if differing:
             cut, sides = _most_apart(s, f, round(SHORTEST_PART / PIECE))
             before, after = (
-                {names[place]: float(each) for place, each in zip(places, values + side, strict=True)} for side in sides
+                {name: float(each) for name, each in zip(names, values + side, strict=True)} for side in sides
             )
             at = (signals.used.start / signals.rate) + cut * duration / n_pieces
             differences.append(PartDifferences(differing, n_parts, where, at, before, after))
     largest = max((each.largest for each in differences), default=0.0)
     # The first is what all trials have in common: it is named unless the parts of a single trial differ by much more.
     return next((each for each in differences if each.largest >= 0.5 * largest), PartDifferences({}))
+
+
+def white_slopes(fit: JointEstimate, signals: JointSignals, loop: Loop | None) -> WhiteSlopes | None:
+    """Derivatives by the quantities in which torque is linear, but for those at a bound; None where all are.
+
+    Args:
+      fit: of all trials.
+      signals: of these.
+      loop: the virtual environment of a force servo; None of a position servo.
+    """
+    names = fit.structure.parameters
+    places = [place for place, name in enumerate(names) if name in QUANTITIES and not fit.at_bound[place]]
+    if not places:
+        return None
+    likelihood = JointLikelihood(fit.structure, signals, loop)
+    likelihood.weigh(fit.values)
+    slopes = likelihood.derivatives(fit.values, likelihood.movement(fit.values))[places]
+    return WhiteSlopes(likelihood, tuple(names[place] for place in places), fit.values[places], slopes)
 
 
 def telling_trials(information: Array) -> Indices:

@@ -18,7 +18,7 @@ TOP = 60.0
 """Frequency up to which a joint is identified [Hz]; above, the torque of most recordings is noise."""
 
 RATE = 200.0
-"""Least sampling rate of an identification [Hz]."""
+"""Least sampling rate that a faster recording is reduced to [Hz]."""
 
 SETTLE = 1.0
 """What is left out at the start of a record [s]: reflexes answer to what was before it."""
@@ -29,6 +29,9 @@ EDGE = 0.1
 NEXT = 1.5
 """Frequency up to which a movement that goes on beyond the band is looked for, over the highest of the band [-]: well
 above, it drowns in the noise of the sensor."""
+
+LEAST_RATE = 50.0
+"""Sampling rate that a recording must have [Hz]."""
 
 SHORTEST = 4.0
 """Shortest record of an identification [s]."""
@@ -50,7 +53,7 @@ class JointSignals:
       servo: "force" or "position".
       beyond: power of the velocity from `top` to `NEXT` times that, over its power below [-].
       settle: what is left out at the start of each trial [s].
-      numbers: of the trials in what was recorded, from 0 unless its coordinate `trial` has others.
+      numbers: of the trials in what was recorded, see `cuts.inside_limit`; from 0 where none were left out.
     """
 
     angle: Array
@@ -63,8 +66,8 @@ class JointSignals:
     top: float
     servo: str
     beyond: float
+    numbers: tuple[int, ...]
     settle: float = SETTLE
-    numbers: tuple[int, ...] = ()
 
     @property
     def used(self) -> slice:
@@ -108,8 +111,8 @@ def joint_signals(
     rate, n = float(recording.attrs["rate"]), recording.sizes["time"]
     if n / rate < shortest:
         raise ValueError(f"recording: duration = {n / rate:.3g} s; expected at least {shortest:g} s")
-    if rate < 50.0:
-        raise ValueError(f"recording: rate = {rate:g} Hz; expected at least 50 Hz")
+    if rate < LEAST_RATE:
+        raise ValueError(f"recording: rate = {rate:g} Hz; expected at least {LEAST_RATE:g} Hz")
     step = max(int(rate / (RATE * top / TOP)), 1)
     top = min(top, 0.3 * rate)
     s = 2j * np.pi * fft.rfftfreq(2 * n, 1.0 / rate)

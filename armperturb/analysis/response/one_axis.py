@@ -223,7 +223,7 @@ def one_axis_response(
         raise ValueError(
             f"response: what = {what!r} on a position servo, which imposes the movement; expected arm, the limb"
         )
-    inside, left_out = inside_limit([trials.recording for trials in several])
+    inside, left_out = inside_limit(several)
     records = [resampled(record) for each in inside for record in _records(each, window_start, imposed=imposed)]
     spectra = [whole_window(record) for record in records]
     repeated = _lines(records, imposed=imposed)

@@ -109,7 +109,7 @@ def identify_varying(
     require_whole("identify_varying", "n_points", n_points, at_least=2)
     one_condition([recording])
     each_once = without_copies(recording)
-    (recording,), left_out = inside_limit([each_once.recording])
+    (recording,), left_out = inside_limit([each_once])
     last = float(recording["time"].values[-1]) - 2.0 * EDGE  # so that something is held out before the edge
     require_number("identify_varying", "fit_until", fit_until, above=0.0, at_most=last, optional=True)
     ensemble, rate = variable == "time", float(recording.attrs["rate"])

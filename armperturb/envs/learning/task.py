@@ -194,19 +194,16 @@ class TaskSettings:
         subject.require_simulable()
         require_stable(subject, self.environment)
         require_integrable(subject, self.environment, None, self.timestep)
-        for name in NOT_BY_LEVEL if self.sets_levels else ():
-            if (value := getattr(subject, name)) != 0.0:
+        fixed: dict[str, Any] = {name: getattr(subject, name) for name in NOT_BY_LEVEL}
+        if subject.muscle is not None:
+            fixed["spindle_threshold_slope"] = subject.muscle.spindle_threshold_slope
+        for name, value in fixed.items() if self.sets_levels else ():
+            if np.any(value):
                 raise ValueError(
-                    f"TaskSettings: subject {subject.name!r} has {name} = {value:g}; expected 0 where the agent sets "
-                    "levels, which do not reach acceleration and force feedback (co_contraction = 'off' and reflexes = "
-                    "False set none)"
+                    f"TaskSettings: subject {subject.name!r} has {name} = {value}; expected 0 where the agent sets "
+                    "levels, which do not reach acceleration and force feedback or thresholds of spindles "
+                    "(co_contraction = 'off' and reflexes = False set none)"
                 )
-        if self.sets_levels and subject.muscle is not None and np.any(subject.muscle.spindle_threshold_slope):
-            raise ValueError(
-                f"TaskSettings: subject {subject.name!r} has spindle_threshold_slope = "
-                f"{subject.muscle.spindle_threshold_slope}; expected 0 where the agent sets levels, which do not reach "
-                "thresholds (co_contraction = 'off' and reflexes = False set none)"
-            )
         if self.sets_levels and subject.task == "PT":
             try:
                 require_integrable(at_level(subject, self.highest_level), self.environment, None, self.timestep)

@@ -4,6 +4,7 @@ import numpy as np
 import one_joint
 import pytest
 
+from armperturb.analysis.cuts import inside_limit
 from armperturb.analysis.joint.estimate import estimate_joint
 from armperturb.analysis.joint.identify import identify_joint
 from armperturb.analysis.joint.likelihood import environment_of
@@ -11,6 +12,7 @@ from armperturb.analysis.joint.model import JointStructure
 from armperturb.analysis.joint.odd_trials import odd_trials
 from armperturb.analysis.joint.signals import joint_signals
 from armperturb.analysis.page.joint_page import joint_verdict
+from armperturb.copied_trials import without_copies
 
 
 def with_torque(recording, trial, change):
@@ -72,6 +74,8 @@ def test_trials_keep_their_numbers_where_others_are_left_out():
     trials = one_joint.trials(one_joint.person("ankle", 8, "none"), 8, 0.0, n_trials=4)
     limit = ("trial", [5.0, np.nan, np.nan, np.nan])
     louder = with_torque(trials, 2, lambda torque: 1.4 * torque).assign_coords(limit_time=limit)
+    (inside,), _ = inside_limit([without_copies(louder)])
+    assert inside["trial"].values.tolist() == [1, 2, 3]
     (fault,) = identify_joint(louder, reflex="none").faults
     assert "kg m^2 in trial 2 against" in fault
 
