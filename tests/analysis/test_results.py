@@ -13,7 +13,8 @@ from armperturb.analysis.arm.geometry import hand_jacobian
 from armperturb.analysis.arm.linear_arm import LinearArm, arm_admittance
 from armperturb.analysis.arm.parameters import parameter_vector
 from armperturb.analysis.fit.export import write_identification
-from armperturb.analysis.fit.identify import Identifications, identify_conditions
+from armperturb.analysis.fit.identification import Identifications
+from armperturb.analysis.fit.identify import identify_conditions
 from armperturb.analysis.results import (
     LINES,
     PARAMETER_COLUMNS,

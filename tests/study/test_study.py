@@ -121,10 +121,14 @@ def test_fits_and_correlations_are_told(study):
 
 @pytest.mark.slow(reason="identifies a person")
 def test_a_thesis_fit_that_fails_costs_nothing_else(relax_recording, tmp_path, monkeypatch):
-    def failing(recording, model, **options):
-        raise ValueError("no fit")
+    identify = cases.identify
 
-    monkeypatch.setattr(cases, "identify_conditions", failing)
+    def failing(trials, model, *, estimator="record"):
+        if estimator == "thesis":
+            raise ValueError("no fit")
+        return identify(trials, model)
+
+    monkeypatch.setattr(cases, "identify", failing)
     long = Protocol(conditions=(RT,), trial_duration=29.0, multisine_duration=28.6)
     [case] = identify_person(trials_by_condition(relax_recording.isel(trial=slice(2))), tmp_path / "r.nc", long)
     assert case.thesis is None

@@ -9,7 +9,7 @@ from armperturb.analysis.arm.parameters import MATRIX, PARAMETERS, parameter_vec
 from armperturb.analysis.arm.state_space import simulate_linear
 from armperturb.analysis.fit.frequency_bands import BandOfLack
 from armperturb.analysis.fit.group import highest_frequency, record_likelihood
-from armperturb.analysis.fit.identify import Identification
+from armperturb.analysis.fit.identification import Identification
 from armperturb.analysis.fit.likelihood import RecordLikelihood
 from armperturb.analysis.fit.maximum_likelihood import Estimate
 from armperturb.analysis.fit.trial_effects import QUANTITIES

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from armperturb.analysis.arm.geometry import with_rigid_segments
-from armperturb.analysis.fit.identify import Identification, Identifications
+from armperturb.analysis.fit.identification import Identification, Identifications
 from armperturb.analysis.fit.maximum_likelihood import Estimate
 from armperturb.analysis.fit.thesis import ThesisEstimate
 from armperturb.analysis.measures.endpoint import is_straight, plot_endpoints

@@ -1,221 +1,35 @@
 """From a recording to the arm: admittance, environment, arm model and how well it predicts (thesis 2.6, 2.7)."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any, get_args
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike
 
-from armperturb.analysis.arm.linear_arm import arm_admittance
 from armperturb.analysis.cuts import require_two_axes
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START, Estimator
 from armperturb.analysis.fit.arm_fit import ArmFit, facts_of_arm, remark_on_force
-from armperturb.analysis.fit.group import Group, parts_by_condition, remark_on_manipulators
+from armperturb.analysis.fit.group import Group, Method, parts_by_condition, remark_on_manipulators
+from armperturb.analysis.fit.identification import Identification, Identifications
 from armperturb.analysis.fit.ladder import Choice, choose_structure, nearest_to_linear
 from armperturb.analysis.fit.left_out import cut_by_pulses, used_conditions
 from armperturb.analysis.fit.maximum_likelihood import Estimate, estimate
 from armperturb.analysis.fit.own_structures import composed
-from armperturb.analysis.fit.structures import Structure, is_published, structure_of, unit
+from armperturb.analysis.fit.structures import Structure, is_published, structure_of
 from armperturb.analysis.fit.thesis import ThesisEstimate, fit_trials
 from armperturb.analysis.fit.use_emg import UseOfEmg, told_of_emg
 from armperturb.analysis.manipulator import remarks_on_trials
-from armperturb.analysis.measures.endpoint import EndpointImpedance
 from armperturb.analysis.measures.start_geometry import in_start_geometry
 from armperturb.analysis.measures.vaf import prediction_vaf
 from armperturb.analysis.response.condition_spectra import condition_spectra
 from armperturb.analysis.response.spectra import SpectralEstimate
-from armperturb.analysis.results import Description, Result, Table, parameter_table, plain
 from armperturb.analysis.trials import ConditionTrials, SeveralTrials, prepared_condition
-from armperturb.arrays import Array
-from armperturb.environment import Environment
 from armperturb.subject import Subject
 from armperturb.validation import require_number, require_one_of, require_whole
 
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.figure import Figure
-
-ESTIMATOR_NAMES: Mapping[Estimator, str] = {
-    "thesis": "the thesis's estimator, trial by trial",
-    "frequency": "maximum likelihood of mean periods",
-    "record": "maximum likelihood of whole records",
-}
-"""What each estimator is called where people read it."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Identification(Result):
-    """What one condition of a recording yields.
-
-    Attributes:
-      n_trials: how many trials it comes from.
-      spectra: estimated admittances and coherence.
-      environment: mass, spring and damper that the manipulator really showed.
-      fit: the arm model.
-      vaf: variance of the displacement that the fitted model accounts for, x and y, mean over trials [%], (axis,).
-    """
-
-    n_trials: int
-    spectra: SpectralEstimate
-    environment: Environment
-    fit: ArmFit
-    vaf: Array
-
-    def describe(self) -> Description:
-        """Who and what was identified, how well the arm predicts, and its parameters."""
-        fit, held = self.fit, self.environment
-        trials = f"{self.n_trials} trial{'' if self.n_trials == 1 else 's'}"
-        return Description(
-            title=f"Arm of {fit.arm.name} in {fit.condition} ({fit.arm.task}), {trials}: model {fit.structure}, "
-            f"{ESTIMATOR_NAMES[fit.estimator]}",
-            facts=(
-                f"VAF x {self.vaf[0]:.1f} %, y {self.vaf[1]:.1f} %; {fit.message}",
-                f"environment {held.m_env:.4g} kg, {held.b_env:.3g} Ns/m, {held.k_env:.4g} N/m",
-            ),
-            table=parameter_table(self.to_frame()),
-            remarks=fit.remarks,
-            details=(
-                f"criterion (eq. 2.19) {plain(fit.criterion)}; largest pole of arm and environment "
-                f"{plain(fit.largest_real_pole, 3)} 1/s; least coherence {self.spectra.coherence.min():.3f}",
-            ),
-        )
-
-    def endpoint(
-        self, *, posture_deg: tuple[float, float] | None = None, force: ArrayLike | None = None
-    ) -> EndpointImpedance:
-        """Stiffness, damping and inertia at the hand, see `ArmFit.endpoint`."""
-        return self.fit.endpoint(posture_deg=posture_deg, force=force)
-
-    def to_frame(self) -> "pd.DataFrame":
-        """One row per free parameter, with the columns of `results.PARAMETER_COLUMNS`."""
-        return self.fit.to_frame()
-
-    def to_xarray(self) -> xr.Dataset:
-        """The spectral estimate (see `SpectralEstimate.to_xarray`), and `model`: the fitted arm's admittance."""
-        model = arm_admittance(self.fit.arm, self.spectra.frequency)
-        made = ("frequency", "output", "input"), model, {"units": "m/N", "long_name": "admittance of the model"}
-        return self.spectra.to_xarray().assign(model=made).assign_attrs(**self.fit.labels, condition=self.fit.condition)
-
-    def plot(self, figure: "Figure | None" = None) -> Any:
-        """Draw the estimated admittance and that of the fitted arm with its 95 % bands.
-
-        Args:
-          figure: where to draw; its height is set. None makes a new one of pyplot.
-
-        Returns:
-          Matplotlib axes, (output, input, 2): gain and phase of each element.
-        """
-        return Identifications({self.fit.condition: self}).plot(figure)
-
-
-class Identifications(Result, Mapping[str, Identification]):
-    """Condition to what it yields, in the order of the recording; reads as a dictionary."""
-
-    def __init__(self, by_condition: Mapping[str, Identification]) -> None:
-        self._by_condition = dict(by_condition)
-
-    def __getitem__(self, condition: str) -> Identification:
-        return self._by_condition[condition]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._by_condition)
-
-    def __len__(self) -> int:
-        return len(self._by_condition)
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """What fits say of themselves, each once, after the conditions that it is said of unless these are all."""
-        whose: dict[str, dict[str, None]] = {}
-        for condition, result in self.items():
-            for remark in result.fit.remarks:
-                whose.setdefault(remark, {})[condition] = None
-        return tuple(said if len(of) == len(self) else f"{', '.join(of)}: {said}" for said, of in whose.items())
-
-    def describe(self) -> Description:
-        """Who was identified, how well each arm predicts, and the estimates of all conditions side by side."""
-        first = next(iter(self.values())).fit
-        names = dict.fromkeys(name for result in self.values() for name in result.fit.values)
-        models = {condition: f"model {result.fit.structure}, " for condition, result in self.items()}
-        shared = models[first.condition] if len(set(models.values())) == 1 else ""
-        return Description(
-            title=f"Arm of {first.arm.name} in {len(self)} condition{'' if len(self) == 1 else 's'}: "
-            f"{shared}{ESTIMATOR_NAMES[first.estimator]}",
-            facts=tuple(
-                f"{condition}: {'' if shared else models[condition]}{result.n_trials} trial"
-                f"{'' if result.n_trials == 1 else 's'}, "
-                f"VAF x {result.vaf[0]:.1f} %, y {result.vaf[1]:.1f} %; {result.fit.message}"
-                for condition, result in self.items()
-            ),
-            table=Table(
-                ("parameter", "unit", *self),
-                tuple((name, unit(name), *(_with_error(of.fit, name) for of in self.values())) for name in names),
-            ),
-            remarks=self.remarks,
-            details=("Estimates +/- standard errors; to_frame() has 95 % intervals.",),
-        )
-
-    def to_frame(self) -> "pd.DataFrame":
-        """One row per condition and free parameter, with the columns of `results.PARAMETER_COLUMNS`.
-
-        A parameter that conditions share has one row, whose condition names them with + between.
-        """
-        import pandas as pd
-
-        frame = pd.concat([result.to_frame() for result in self.values()], ignore_index=True)
-        together = next(iter(self.values())).fit.detail
-        if isinstance(together, Estimate) and len(together.arms) > 1:
-            places = [together.place_of(name) for name in together.values]
-            shared = {parameter: condition for parameter, condition in places if condition not in together.arms}
-            frame["condition"] = [
-                shared.get(parameter, condition)
-                for parameter, condition in zip(frame["parameter"], frame["condition"], strict=True)
-            ]
-        return frame.drop_duplicates(["parameter", "condition"], ignore_index=True)
-
-    def to_xarray(self) -> xr.Dataset:
-        """`Identification.to_xarray` of all conditions, along a dimension of that name."""
-        parts = [result.to_xarray() for result in self.values()]
-        data = xr.concat(parts, xr.DataArray(list(self), dims="condition", name="condition"), join="outer")
-        data.attrs = dict(next(iter(self.values())).fit.labels)
-        return data
-
-    def plot(self, figure: "Figure | None" = None) -> Any:
-        """Draw the estimated admittance of each condition and that of the fitted arm with its 95 % bands.
-
-        Args:
-          figure: where to draw; its height is set. None makes a new one of pyplot.
-
-        Returns:
-          Matplotlib axes, (output, input, 2): gain and phase of each element.
-        """
-        from armperturb.plots.bands import Curve, plot_responses
-        from armperturb.plots.style import colours_for
-
-        curves = []
-        for (condition, result), colour in zip(self.items(), colours_for(len(self)), strict=True):
-            spectra = result.spectra
-            dense = np.geomspace(spectra.frequency[0], spectra.frequency[-1], 200)
-            points = {"color": colour, "marker": "o", "linestyle": "", "markersize": 3.5}
-            model, bands = arm_admittance(result.fit.arm, dense), result.fit.admittance_bands(dense)
-            curves += [
-                Curve(f"{condition}, estimated", spectra.frequency, spectra.arm, None, points, (dense, model)),
-                Curve(f"{condition}, model {result.fit.structure}", dense, model, bands, {"color": colour}),
-            ]
-        return plot_responses(curves, figure=figure)
-
-
-def _with_error(fit: ArmFit, name: str) -> str:
-    if name not in fit.values:
-        return "-"
-    error = fit.standard_error[name]
-    mark = " (bound)" if name in fit.at_bound else ""
-    if not np.isfinite(error):
-        return f"{plain(fit.values[name])} +/- inf{mark}"
-    return f"{plain(fit.values[name])} +/- {plain(error, 2)}{mark}"
+Conditions = Mapping[str, Sequence[ConditionTrials]]
 
 
 def identify(
@@ -292,10 +106,12 @@ def identify_conditions(
     Returns:
       Condition to what it yields, in the order of the recording; those in which nothing perturbs the window, as where
       there are pulses alone, are left out if there are others; if there are none, trials are used with their pulses.
+      Unless parameters are shared, a condition that cannot be identified is left out, too, and remarks tell why.
 
     Raises:
       TypeError: as `identify`.
-      ValueError: as `identify`; or the thesis's estimator is to share parameters, but fits each trial alone.
+      ValueError: as `identify`, of no condition or of those that share parameters; or the thesis's estimator is to
+        share parameters, but fits each trial alone.
     """
     require_one_of("identify", "estimator", estimator, get_args(Estimator))
     require_number("identify", "window_start", window_start, at_least=0.0)
@@ -312,60 +128,131 @@ def identify_conditions(
             "alone (--estimator record shares)"
         )
     conditions, remarks = used_conditions(parts_by_condition(trials), window_start)
-    for parts in conditions.values():
-        for part in parts:
-            part.check_period(window_start, period)
-    options: dict[str, Any] = {"window_start": window_start, "period": period}
-    spectral = {**options, "lines_per_average": lines_per_average}
-    spectra = {label: condition_spectra(parts, **spectral) for label, parts in conditions.items()}
-    fits: dict[str, ArmFit] = {}
-    if estimator == "thesis":
-        for label, parts in conditions.items():
-            of_trials = fit_trials(_only(parts), structure, **spectral)
-            fits[label] = _thesis_fit(of_trials, parts[0], structure, spectra[label])
+    fitter = _Fitter(structure, model is None, estimator, tuple(share), window_start, period, lines_per_average, emg)
+    identified: dict[str, Identification] = {}
+    refused: dict[str, str] = {}
+    # What conditions do not share is found sooner alone, and judged by their own trials.
+    for labels in [list(conditions)] if share else [[label] for label in conditions]:
+        try:
+            identified |= fitter.identified({label: conditions[label] for label in labels})
+        except ValueError as error:
+            if share:
+                raise
+            refused[labels[0]] = str(error).removeprefix(f"{labels[0]}: ")
+        for label in labels:
             progress(label)
-    else:
-        groups = [Group.prepare(parts, structure, **options) for parts in conditions.values()]
-        moved = [partial(_in_start_geometry, group, options) for group in groups]
-
-        def with_emg(group: Group) -> Group:
-            return emg.added_to(group, conditions[group.label][0]) if emg else group
-
-        if model is None:
-            for each in zip(groups, moved, strict=True):
-                fits[each[0].label] = _chosen_fit(choose_structure(*each, estimator, with_emg=with_emg))
-                progress(each[0].label)
-        else:
-            if not is_published(structure):
-                groups = [nearest_to_linear(*each, estimator) for each in zip(groups, moved, strict=True)]
-            # What conditions do not share is found sooner alone, and judged by their own trials.
-            for together in [groups] if share else [[group] for group in groups]:
-                joint = estimate([with_emg(group) for group in together], estimator, share=share)
-                for group in together:
-                    as_recorded = spectra[group.label] if is_published(structure) else None
-                    fits[group.label] = _likely_fit(joint, group, as_recorded)
-                    progress(group.label)
-        if emg:
-            fits = {label: told_of_emg(fit, emg, conditions[label][0]) for label, fit in fits.items()}
-    is_cut = estimator != "record" or emg is not None
-    said = {
-        label: (*remarks_on_trials(parts), *(cut_by_pulses(parts) if is_cut else ()), *remark_on_manipulators(parts))
-        for label, parts in conditions.items()
-    }
+    if not identified:
+        reasons = list(dict.fromkeys(refused.values()))
+        raise ValueError(
+            reasons[0] if len(reasons) == 1 else "; ".join(f"{label}: {text}" for label, text in refused.items())
+        )
+    remarks += [f"{label} is not identified: {text}" for label, text in refused.items()]
     return Identifications(
         {
+            label: replace(result, fit=replace(result.fit, remarks=(*result.fit.remarks, *remarks)))
+            for label, result in identified.items()
+        }
+    )
+
+
+@dataclass(frozen=True)
+class _Fitter:
+    """How conditions are fitted; see `identify_conditions`.
+
+    Attributes:
+      structure: that is fitted, or chosen from.
+      chooses: whether the trials of each condition choose it.
+      estimator: of the three.
+      share: parameters that conditions share.
+      window_start: of the window of whole periods [s].
+      period: of the disturbance [s]; None to find it.
+      lines_per_average: of the spectra.
+      emg: that tells of reflexes as well.
+    """
+
+    structure: Structure
+    chooses: bool
+    estimator: Estimator
+    share: tuple[str, ...]
+    window_start: float
+    period: float | None
+    lines_per_average: int
+    emg: UseOfEmg | None
+
+    def identified(self, conditions: Conditions) -> dict[str, Identification]:
+        """What conditions yield that are fitted together."""
+        for parts in conditions.values():
+            for part in parts:
+                part.check_period(self.window_start, self.period)
+        spectra = {
+            label: condition_spectra(
+                parts, window_start=self.window_start, period=self.period, lines_per_average=self.lines_per_average
+            )
+            for label, parts in conditions.items()
+        }
+        if self.estimator == "thesis":
+            fits = {label: self._thesis_fit(parts, spectra[label]) for label, parts in conditions.items()}
+        else:
+            fits = self._likely_fits(conditions, spectra, self.estimator)
+        is_cut = self.estimator != "record" or self.emg is not None
+        said = {
+            label: (
+                *remarks_on_trials(parts),
+                *(cut_by_pulses(parts) if is_cut else ()),
+                *remark_on_manipulators(parts),
+            )
+            for label, parts in conditions.items()
+        }
+        return {
             label: Identification(
                 n_trials=sum(part.n_trials for part in conditions[label]),
                 spectra=spectra[label],
                 environment=conditions[label][0].environment,
-                fit=replace(fit, remarks=(*fit.remarks, *said[label], *remarks)),
+                fit=replace(fit, remarks=(*fit.remarks, *said[label])),
                 vaf=np.concatenate(
                     [prediction_vaf(part, fit.arm, part.environment) for part in conditions[label]]
                 ).mean(axis=0),
             )
             for label, fit in fits.items()
         }
-    )
+
+    def _thesis_fit(self, parts: Sequence[ConditionTrials], spectra: SpectralEstimate) -> ArmFit:
+        trials = _only(parts)
+        of_trials = fit_trials(
+            trials,
+            self.structure,
+            window_start=self.window_start,
+            period=self.period,
+            lines_per_average=self.lines_per_average,
+        )
+        return _mean_fit(of_trials, trials, self.structure, spectra)
+
+    def _likely_fits(
+        self, conditions: Conditions, spectra: Mapping[str, SpectralEstimate], method: Method
+    ) -> dict[str, ArmFit]:
+        """By maximum likelihood, with the structure that is given or that the trials choose."""
+        structure, emg = self.structure, self.emg
+        options: dict[str, Any] = {"window_start": self.window_start, "period": self.period}
+        groups = [Group.prepare(parts, structure, **options) for parts in conditions.values()]
+        moved = [partial(_in_start_geometry, group, options) for group in groups]
+
+        def with_emg(group: Group) -> Group:
+            return emg.added_to(group, conditions[group.label][0]) if emg else group
+
+        if self.chooses:
+            fits = {
+                group.label: _chosen_fit(choose_structure(group, turned, method, with_emg=with_emg))
+                for group, turned in zip(groups, moved, strict=True)
+            }
+        else:
+            if not is_published(structure):
+                groups = [nearest_to_linear(*each, method) for each in zip(groups, moved, strict=True)]
+            joint = estimate([with_emg(group) for group in groups], method, share=self.share)
+            fits = {
+                group.label: _likely_fit(joint, group, spectra[group.label] if is_published(structure) else None)
+                for group in groups
+            }
+        return {label: told_of_emg(fit, emg, conditions[label][0]) if emg else fit for label, fit in fits.items()}
 
 
 def _only(parts: Sequence[ConditionTrials]) -> ConditionTrials:
@@ -377,7 +264,7 @@ def _only(parts: Sequence[ConditionTrials]) -> ConditionTrials:
     return parts[0]
 
 
-def _thesis_fit(
+def _mean_fit(
     result: ThesisEstimate, trials: ConditionTrials, structure: Structure, spectra: SpectralEstimate
 ) -> ArmFit:
     """Means over trials, as published."""

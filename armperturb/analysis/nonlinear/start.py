@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from armperturb.analysis.defaults import LINEAR_MODELS, WINDOW_START
-from armperturb.analysis.fit.identify import Identification, identify_conditions
+from armperturb.analysis.fit.identification import Identification
+from armperturb.analysis.fit.identify import identify_conditions
 from armperturb.analysis.fit.maximum_likelihood import Estimate
 from armperturb.analysis.fit.structures import structure_of
 from armperturb.analysis.nonlinear.model import QUANTITIES, Parameters, bounds, coordinate, leveled_condition, stem
@@ -90,7 +91,7 @@ def linear_arms(
         results = dict(identify_conditions(parts, structure, window_start=window_start, period=period))
         if task in FREER and max(map(_distance, results.values())) > FAR:
             freer = identify_conditions(parts, structure_of(FREER[task]), window_start=window_start, period=period)
-            results = {label: min(result, freer[label], key=_distance) for label, result in results.items()}
+            results = {label: min(result, freer.get(label, result), key=_distance) for label, result in results.items()}
         arms |= {label: result.fit.arm for label, result in results.items()}
     return arms
 

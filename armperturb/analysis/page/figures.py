@@ -7,7 +7,7 @@ import numpy as np
 from armperturb.analysis.arm.linear_arm import arm_admittance
 from armperturb.analysis.arm.state_space import simulate_linear
 from armperturb.analysis.fit.diagnosis import Diagnosis
-from armperturb.analysis.fit.identify import Identification, Identifications
+from armperturb.analysis.fit.identification import Identification, Identifications
 from armperturb.analysis.measures.endpoint import EndpointImpedance, plot_endpoints
 from armperturb.analysis.measures.vaf import driving
 from armperturb.analysis.response.frequency_response import FrequencyResponse

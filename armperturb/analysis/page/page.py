@@ -9,7 +9,7 @@ from typing import Any
 from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.emg.envelope import Envelopes
 from armperturb.analysis.fit.diagnosis import diagnose
-from armperturb.analysis.fit.identify import ESTIMATOR_NAMES, Identification, Identifications
+from armperturb.analysis.fit.identification import ESTIMATOR_NAMES, Identification, Identifications
 from armperturb.analysis.fit.maximum_likelihood import Estimate
 from armperturb.analysis.fit.structures import unit
 from armperturb.analysis.measures.endpoint import EndpointImpedance, is_straight

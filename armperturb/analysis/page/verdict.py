@@ -10,7 +10,7 @@ from armperturb.analysis.defaults import FEWEST_TRIALS
 from armperturb.analysis.fit.diagnosis import Diagnosis
 from armperturb.analysis.fit.emg_likelihood import FEW_WITH_EMG, UNTIMELY
 from armperturb.analysis.fit.frequency_bands import BandOfLack
-from armperturb.analysis.fit.identify import Identification
+from armperturb.analysis.fit.identification import Identification
 from armperturb.analysis.fit.maximum_likelihood import LARGE_LACK, SKEWED, SUSPICIOUS, UNLIKE, Estimate
 from armperturb.analysis.fit.trial_effects import ASSUMED
 from armperturb.analysis.fit.whittle import LackOfFit

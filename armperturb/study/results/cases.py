@@ -14,7 +14,8 @@ import xarray as xr
 
 from armperturb.analysis.cuts import of_condition
 from armperturb.analysis.defaults import LINEAR_MODELS, WINDOW_START
-from armperturb.analysis.fit.identify import Identification, identify, identify_conditions
+from armperturb.analysis.fit.identification import Identification
+from armperturb.analysis.fit.identify import identify
 from armperturb.analysis.fit.maximum_likelihood import Estimate
 from armperturb.analysis.fit.structures import structure_of
 from armperturb.analysis.fit.thesis import ThesisEstimate
@@ -132,18 +133,13 @@ def identify_person(conditions: Mapping[str, ConditionTrials], path: Path, proto
       protocol: what was to be recorded.
     """
     name = next(iter(conditions.values())).name
-    cases, multisines = {}, {}
+    cases = []
     for condition in protocol.conditions:
         if condition.has_multisine:
             trials = conditions.get(condition.name)
-            cases[condition.name], multisine = _identify(condition, name, trials, path, protocol)
-            if multisine is not None:
-                multisines[condition.name] = multisine
-    thesis, failed = _by_thesis(name, multisines)
-    return tuple(
-        replace(case, thesis=thesis.get(label), left_out=(*case.left_out, *failed.get(label, ())))
-        for label, case in cases.items()
-    )
+            case, multisine = _identify(condition, name, trials, path, protocol)
+            cases.append(case if multisine is None else _with_thesis(case, multisine))
+    return tuple(cases)
 
 
 def arms_of(cases: Sequence[Case], conditions: Sequence[Condition]) -> dict[str, Subject]:
@@ -211,27 +207,13 @@ def _identify(
         return replace(case, left_out=tuple(left_out)), multisine
 
 
-def _by_thesis(
-    name: str, multisines: Mapping[str, ConditionTrials]
-) -> tuple[dict[str, Identification], dict[str, tuple[str, ...]]]:
-    """What the thesis's estimator gives in each condition, and why it gives nothing in others.
-
-    Conditions of one task are fitted together, which is faster; not so those whose trials differ in length.
-    """
-    alike: dict[tuple[str, int], dict[str, ConditionTrials]] = {}
-    for condition, trials in multisines.items():
-        task = str(trials.recording["task"].values[0])
-        alike.setdefault((task, trials.n_samples), {})[condition] = trials
-    results: dict[str, Identification] = {}
-    failed: dict[str, tuple[str, ...]] = {}
-    for (task, _), conditions in alike.items():
-        try:
-            parts = {condition: (trials,) for condition, trials in conditions.items()}
-            results |= identify_conditions(parts, LINEAR_MODELS[task], estimator="thesis")
-        except ValueError as error:
-            for condition in conditions:
-                failed[condition] = (f"{name} in {condition} was not identified by the thesis's estimator: {error}",)
-    return results, failed
+def _with_thesis(case: Case, multisine: ConditionTrials) -> Case:
+    """The case with what the thesis's estimator gives, or why it gives nothing."""
+    try:
+        return replace(case, thesis=identify(multisine, LINEAR_MODELS[case.condition.task], estimator="thesis"))
+    except ValueError as error:
+        line = f"{case.name} in {case.condition.name} was not identified by the thesis's estimator: {error}"
+        return replace(case, left_out=(*case.left_out, line))
 
 
 def _holds_a_period(trials: ConditionTrials | None) -> bool:

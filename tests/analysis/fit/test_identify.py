@@ -111,6 +111,25 @@ def test_conditions_without_a_multisine_are_left_out_if_there_are_others(relax_r
 
 
 @pytest.mark.slow(reason="fits trials")
+def test_a_condition_that_cannot_be_identified_costs_the_others_nothing(relax_recording):
+    first, second = relax_recording.isel(trial=[0, 1]), relax_recording.isel(trial=[2, 3])
+    wrong = second.assign(force=-second["force"]).assign_coords(condition=("trial", ["RT22.5"] * 2))
+    both = xr.concat([first, wrong], "trial", combine_attrs="override")
+    results = identify_conditions(both, "1", estimator="frequency")
+    assert list(results) == ["RT7.5"]
+    assert results["RT7.5"].fit.values == identify(first, "1", estimator="frequency").fit.values
+    (why,) = (remark for remark in results.remarks if remark.startswith("RT22.5 is not identified: "))
+    assert "force must be the reaction force that the handle exerts on the hand" in why
+    message = "force must be the reaction force"
+    with pytest.raises(ValueError, match=message):  # together or not at all
+        identify_conditions(both, "1", estimator="frequency", share=["mass"])
+    late = {"RT7.5": wrong.assign_coords(condition=("trial", ["RT7.5"] * 2)), "RT22.5": wrong}
+    with pytest.raises(ValueError, match=message) as refused:
+        identify_conditions(late, "1", estimator="frequency")
+    assert str(refused.value).count(message) == 1  # once for both
+
+
+@pytest.mark.slow(reason="fits trials")
 def test_one_trial_is_enough(position_recording):
     result = identify(position_recording.isel(trial=[2]), "3b")
     assert len(result.spectra.frequency) == 18

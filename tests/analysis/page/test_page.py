@@ -19,7 +19,8 @@ from armperturb.analysis.emg.envelope import envelopes
 from armperturb.analysis.fit.diagnosis import diagnose
 from armperturb.analysis.fit.frequency_bands import BandOfLack
 from armperturb.analysis.fit.group import parts_by_condition
-from armperturb.analysis.fit.identify import Identifications, identify_conditions
+from armperturb.analysis.fit.identification import Identifications
+from armperturb.analysis.fit.identify import identify_conditions
 from armperturb.analysis.fit.whittle import LackOfFit
 from armperturb.analysis.imbalance import Imbalance
 from armperturb.analysis.page.data_check import check_data
