@@ -101,7 +101,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt as interrupt:
         remove_unfinished()
         _remove_empty(new_folder)
-        resumes = "; the same command continues from here" if command is not None and command.resumes else ""
+        is_kept = new_folder is None or new_folder.exists()  # a folder in which nothing was finished is gone
+        resumes = "; the same command continues from here" if command and command.resumes and is_kept else ""
         number = interrupt.args[0] if interrupt.args else signal.SIGINT
         with suppress(OSError):  # the terminal may be gone
             print(f"armperturb: interrupted{resumes}", file=sys.stderr, flush=True)

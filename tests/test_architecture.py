@@ -16,10 +16,10 @@ BASE |= {"copied_trials"}
 ARM = BASE | {
     "analysis.cuts", "analysis.defaults", "analysis.plateaus", "analysis.arm", "analysis.excited_bands",
     "analysis.imbalance", "analysis.force_balance", "analysis.trials", "analysis.per_trials", "analysis.manipulator",
-    "analysis.numerics", "analysis.start", "analysis.pulses_alone",
+    "analysis.numerics", "analysis.start", "analysis.pulses_alone", "analysis.periods",
     "analysis.results", "analysis.signs", "analysis.joint_balance", "plots", "anthropometry",
 }  # fmt: skip
-OF_TRIALS = {"analysis.per_trials", "analysis.manipulator", "analysis.pulses_alone"}
+OF_TRIALS = {"analysis.per_trials", "analysis.manipulator", "analysis.pulses_alone", "analysis.periods"}
 ANALYSIS = ARM | {"analysis.response", "analysis.measures", "analysis.emg", "analysis.fit", "analysis.nonlinear"}
 ANALYSIS |= {"analysis.varying"}
 LAB = ARM | {"perturbations", "models", "controllers", "planar_arm", "cohort"}
@@ -69,6 +69,7 @@ ARROWS = {
     "analysis.per_trials": ARM - OF_TRIALS,
     "analysis.manipulator": ARM - OF_TRIALS | {"analysis.per_trials"},
     "analysis.pulses_alone": ARM - OF_TRIALS,
+    "analysis.periods": ARM - OF_TRIALS,
     "analysis.response": ARM,
     "analysis.measures": ARM,
     "analysis.fit": ARM | {"analysis.response", "analysis.measures", "analysis.emg"},

@@ -1,4 +1,6 @@
-"""Whether trials start at rest, as their first samples tell, and the constant force that they are under."""
+"""Whether trials start at rest, as their first samples tell, what pushes them first, and the constant force on them."""
+
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -20,6 +22,9 @@ whole perturbation sets in motion at once makes steps of up to 0.38."""
 
 BY_NOISE = 4.0
 """Standard deviations by which noise may add to a step."""
+
+PUSH = 0.05
+"""Change of the perturbation over its largest change from which on it pushes [-]: above the noise of a measured one."""
 
 
 def start_at_rest(perturbation: Array, force: Array, displacement: Array, rate: float) -> bool:
@@ -53,3 +58,16 @@ def constant_force(force: Array) -> Array:
     """
     mean, varying = force.mean(axis=(0, 1)), force.std(axis=(0, 1))
     return np.asarray(mean if np.linalg.norm(mean) > HELD * np.linalg.norm(varying) else np.zeros_like(mean))
+
+
+def first_push(perturbation: Sequence[Array]) -> int:
+    """Sample from which on something pushes every trial.
+
+    Args:
+      perturbation: d of each trial before its pulse [N], (time, axis).
+    """
+    first = 0
+    for d in perturbation:
+        change = np.linalg.norm(d - d[:1], axis=1)
+        first = max(first, int(np.argmax(change > PUSH * change.max(initial=0.0))) if len(d) else 0)
+    return first

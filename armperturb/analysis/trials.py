@@ -14,10 +14,9 @@ import numpy as np
 import xarray as xr
 
 from armperturb.analysis.cuts import limit_samples, of_condition, one_condition, onset_samples
-from armperturb.analysis.defaults import SETTLED
 from armperturb.analysis.force_balance import EDGE, Balance, NoiseLevels, Skew
-from armperturb.analysis.numerics.periodicity import are_independent, find_period, samples_of_period
-from armperturb.analysis.start import constant_force, start_at_rest
+from armperturb.analysis.numerics.periodicity import are_independent, samples_of_period
+from armperturb.analysis.start import constant_force, first_push, start_at_rest
 from armperturb.arrays import Array, Indices
 from armperturb.copied_trials import Lines, each_once, joined_lines, without_copies
 from armperturb.environment import Environment
@@ -25,8 +24,8 @@ from armperturb.recording import ARM_LABELS, EXPECTED, TRIAL_COORDINATES, check_
 from armperturb.subject import POSITION, RELAX, TASKS, Subject
 from armperturb.validation import as_list, require_number, require_one_of
 
-APERIODIC = 1e-2
-"""Share of its power by which a disturbance may differ from one period to the next [-]."""
+AT_ONCE = 0.5
+"""Time within which what perturbs a trial from its start begins [s]."""
 
 NEGLIGIBLE = 1e-9
 """Disturbances below this count as zero [N]."""
@@ -177,6 +176,12 @@ class ConditionTrials:
         """When each trial met the workspace limit [samples], (trial,); infinite if it did not."""
         return limit_samples(self.recording)
 
+    @cached_property
+    def begin(self) -> float:
+        """Time from which on something perturbs every trial before its pulse [s]; 0 if it does so nearly at once."""
+        first = first_push([d[:end] for d, end in zip(self.perturbation, self.onset, strict=True)]) / self.rate
+        return first if first > AT_ONCE else 0.0
+
     @property
     def direction_deg(self) -> Array:
         """Direction of each trial's pulse [deg], (trial,); NaN without a pulse."""
@@ -308,39 +313,6 @@ class ConditionTrials:
             records.append(TrialRecord(d, np.concatenate([f, x], axis=1), self.rate))
         return records
 
-    def period(self, window_start: float) -> float:
-        """Period of the perturbation [s], found in what was recorded of it before the pulses.
-
-        Args:
-          window_start: from when on the analysis uses the trials [s]; the perturbation repeats from `SETTLED` on.
-
-        Raises:
-          ValueError: as `records` and `find_period`.
-        """
-        return common_period([self], window_start)
-
-    def check_period(self, window_start: float, period: float | None) -> None:
-        """Refuse a stated period after which the perturbation does not repeat.
-
-        Args:
-          window_start: start of the window of whole periods [s]. What is before it counts from half that time on.
-          period: as stated [s]; None if it is to be found.
-
-        Raises:
-          ValueError: the perturbation does not repeat, or a period is not a whole number of samples.
-        """
-        if period is None:
-            return
-        n_period, first = samples_of_period(period, self.rate), round(window_start * self.rate) // 2
-        for trial, end in enumerate(self.onset.tolist()):
-            d = self.perturbation[trial, first:end]
-            earlier, later = d[:-n_period], d[n_period:]
-            if np.sum((later - earlier) ** 2) > APERIODIC * np.sum(later**2):
-                raise ValueError(
-                    f"period = {period:g} s; expected the perturbation's own: that of trial {trial} does not repeat "
-                    "after it (without --period it is found)"
-                )
-
     def window(self, window_start: float, period: float) -> slice:
         """Samples of the whole periods between a time and the first pulse, or the end.
 
@@ -430,21 +402,3 @@ def trials_by_condition(recording: xr.Dataset, *, is_checked: bool = False) -> d
         str(label): replace(ConditionTrials.prepare(of_condition(recording, label), is_checked=True), copies=copies)
         for label in dict.fromkeys(recording["condition"].values.tolist())
     }
-
-
-def common_period(trials: Sequence[ConditionTrials], window_start: float) -> float:
-    """Period of the perturbation of all trials together [s].
-
-    Args:
-      trials: of one or several recordings; some may be shorter than a period.
-      window_start: as `ConditionTrials.period` has it [s].
-
-    Raises:
-      ValueError: as `ConditionTrials.period`.
-    """
-    start = min(window_start, SETTLED)
-    key = ("period", start, len(trials))
-    if len(trials) > 1 or key not in trials[0].results:
-        records = [record.perturbation for part in trials for record in part.records(start)]
-        trials[0].results[key] = find_period(records, trials[0].rate, start)
-    return float(trials[0].results[key])

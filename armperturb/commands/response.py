@@ -53,10 +53,11 @@ class Response(Command):
 
     def run(self) -> list[str]:
         """Estimate the response and write it."""
+        from armperturb.analysis.periods import common_period
         from armperturb.analysis.pulses_alone import used_whole
         from armperturb.analysis.response.best_linear import best_linear
         from armperturb.analysis.response.estimate import response
-        from armperturb.analysis.trials import common_period, prepared_recordings
+        from armperturb.analysis.trials import prepared_recordings
         from armperturb.commands.selection import MemoryPerSample, select_trials
         from armperturb.recording import is_one_axis
 

@@ -127,13 +127,16 @@ def columns_of(path: Path, dialect: Dialect) -> list[Column]:
       dialect: of a text file.
 
     Raises:
-      ValueError: the file is damaged, too large, or holds no columns.
+      ValueError: the file is damaged, too large, or holds no columns, or several of one name.
       ModuleNotFoundError: C3D is to be read, and ezc3d is not installed.
       OSError: it cannot be read.
     """
     if path.suffix.lower() in TEXT:
         start = dialect.skip_lines
-        below = _rows(_first_lines(path, start + 2)[start + 1 :], dialect)
+        header, *below = _rows(_first_lines(path, start + 2)[start:], dialect) or [[]]
+        for name in filter(None, header):
+            if (times := header.count(name)) > 1:
+                raise ValueError(f"{path}: column {name!r} comes {times} times; expected once (rename one)")
         units = below[0] if below and is_row_of_text(below[0], dialect.decimal) else []
         try:
             table = pd.read_csv(
@@ -147,7 +150,8 @@ def columns_of(path: Path, dialect: Dialect) -> list[Column]:
             )
         except (ValueError, OverflowError) as error:
             raise ValueError(f"{path}: no readable table ({' '.join(str(error).split())}); expected columns") from None
-        columns = [Column(str(name).strip(), str(name).strip(), table[name].to_numpy()) for name in table]
+        named = [name for at, name in enumerate(table) if at >= len(header) or header[at]]
+        columns = [Column(str(name).strip(), str(name).strip(), table[name].to_numpy()) for name in named]
         for at, unit in enumerate(units[: len(columns)]):
             if not columns[at].words()[1]:
                 columns[at] = columns[at]._replace(unit=_bare(unit))

@@ -5,14 +5,15 @@ import pickle
 import numpy as np
 import pytest
 
-from armperturb.analysis import trials as module
+from armperturb.analysis import periods as module
 from armperturb.analysis.cuts import onset_samples
 from armperturb.analysis.fit.group import Group
 from armperturb.analysis.fit.structures import STRUCTURES
 from armperturb.analysis.force_balance import Balance
+from armperturb.analysis.periods import check_period, common_period
 from armperturb.analysis.response.estimate import response
 from armperturb.analysis.response.spectra import averaged_spectra, line_spectra
-from armperturb.analysis.trials import ConditionTrials, common_period, prepared_recordings, trials_by_condition
+from armperturb.analysis.trials import ConditionTrials, prepared_recordings, trials_by_condition
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +94,7 @@ def test_results_are_kept_with_the_trials(pulsed, monkeypatch):
     monkeypatch.setattr(module, "find_period", counted)
     assert averaged_spectra(trials) is averaged_spectra(trials, lines_per_average=4)
     assert averaged_spectra(trials) is not averaged_spectra(trials, lines_per_average=2)
-    assert trials.period(8.0) == trials.period(2.0) == 20.48
+    assert common_period([trials], 8.0) == common_period([trials], 2.0) == 20.48
     assert counts["find_period"] == 1
 
 
@@ -101,12 +102,14 @@ def test_the_found_period_is_that_which_is_stated(relax_recording):
     trials = ConditionTrials.prepare(relax_recording)
     np.testing.assert_array_equal(line_spectra(trials).force, line_spectra(trials, period=20.48).force)
     for period in (10.0, 20.0):
-        with pytest.raises(ValueError, match=rf"period = {period:g} s; .* does not repeat after it \(without --period"):
-            trials.check_period(8.0, period)
-    trials.check_period(8.0, 20.48)
-    trials.check_period(8.0, None)
+        with pytest.raises(
+            ValueError, match=rf"period = {period:g} s; .* does not repeat after it from 4 s on \(without"
+        ):
+            check_period(trials, 8.0, period)
+    check_period(trials, 8.0, 20.48)
+    check_period(trials, 8.0, None)
     with pytest.raises(ValueError, match=r"period of 0\.001 s is a whole number of samples"):
-        trials.check_period(8.0, 0.001)
+        check_period(trials, 8.0, 0.001)
 
 
 def test_trials_that_are_cut_at_their_first_sample_have_nothing_to_fit(relax_recording):
@@ -117,7 +120,7 @@ def test_trials_that_are_cut_at_their_first_sample_have_nothing_to_fit(relax_rec
 def test_recordings_of_other_lengths_have_one_period(relax_recording):
     whole, brief = relax_recording.isel(trial=[0, 1]), relax_recording.isel(trial=[2], time=slice(0, 4000))
     with pytest.raises(ValueError, match="does not repeat"):
-        ConditionTrials.prepare(brief).period(2.0)
+        common_period([ConditionTrials.prepare(brief)], 2.0)
     assert common_period(prepared_recordings([whole, brief]), 2.0) == 20.48
 
 

@@ -123,7 +123,7 @@ def test_fits_and_correlations_are_told(study):
 def test_a_thesis_fit_that_fails_costs_nothing_else(relax_recording, tmp_path, monkeypatch):
     identify = cases.identify
 
-    def failing(trials, model, *, estimator="record"):
+    def failing(trials, model, *, estimator="record", window_start=None):
         if estimator == "thesis":
             raise ValueError("no fit")
         return identify(trials, model)

@@ -11,7 +11,8 @@ import pandas as pd
 from scipy import stats
 
 from armperturb.analysis.emg.cocontraction import cocontraction
-from armperturb.analysis.emg.envelope import NO_NOISE, Envelopes, mean_known
+from armperturb.analysis.emg.envelope import NO_NOISE, Envelopes
+from armperturb.analysis.emg.reference import mean_known
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.arrays import Array
 from armperturb.validation import require_type

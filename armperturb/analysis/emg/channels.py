@@ -129,6 +129,16 @@ def faults_of_channel(
     in_a_row = np.flatnonzero(np.diff(at_limit) == 1)
     if len(in_a_row) and (_is_clipped(volts) or _is_clipped(-volts)):
         add("clipped", at_limit[in_a_row[0]], at_limit[in_a_row[-1]] + 2)
+    for at in [at for at in _peaks(white) if _stands_out(volts, at)][:MOST_SPIKES]:
+        add("spike", at, at + 1)
+    if low_power > MOVED:
+        at = int(np.argmax(np.abs(volts - volts.mean())))
+        add("movement artefact", max(at - rate / 2, 0), min(at + rate / 2, len(volts)))
+    return faults
+
+
+def _peaks(white: NDArray[np.float32]) -> list[int]:
+    """Samples of a whitened channel, (time,), that have most of the power about them."""
     n_windows = len(white) // SPIKE_WINDOW
     windows = white[: n_windows * SPIKE_WINDOW].reshape(n_windows, SPIKE_WINDOW)
     total = np.einsum("ws,ws->w", windows, windows)
@@ -136,13 +146,14 @@ def faults_of_channel(
     # And over the last window but one and the next but one, as a contraction may begin or end with any sample.
     around = np.maximum.reduce([np.roll(total, shift) for shift in (-2, 0, 2)])
     inside = largest[ENDS:-ENDS] > SPIKE * np.maximum(around[ENDS:-ENDS], 1e-30)
-    for window in (ENDS + np.flatnonzero(inside))[:MOST_SPIKES]:
-        at = window * SPIKE_WINDOW + int(np.argmax(np.abs(windows[window])))
-        add("spike", at, at + 1)
-    if low_power > MOVED:
-        at = int(np.argmax(np.abs(volts - volts.mean())))
-        add("movement artefact", max(at - rate / 2, 0), min(at + rate / 2, len(volts)))
-    return faults
+    places = ENDS + np.flatnonzero(inside)
+    return [int(place * SPIKE_WINDOW + np.argmax(np.abs(windows[place]))) for place in places]
+
+
+def _stands_out(volts: NDArray[np.float32], at: int) -> bool:
+    """Whether a sample of a channel is off both that before and that after it, as no begin of a contraction is."""
+    bend = np.diff(volts[max(at - SPIKE_WINDOW // 2, 0) : at + SPIKE_WINDOW // 2].astype(float), 2) ** 2
+    return bool(bend.max() > SPIKE * bend.sum())
 
 
 def _is_clipped(volts: NDArray[np.float32]) -> bool:

@@ -19,7 +19,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
-from armperturb.analysis.emg.envelope import Envelopes, mean_known
+from armperturb.analysis.emg.envelope import Envelopes
+from armperturb.analysis.emg.reference import mean_known
 from armperturb.arrays import Array
 
 NUMBERS = 8.0

@@ -19,7 +19,6 @@ the average, which a fit takes for spindles that saturate at a speed some 3 % lo
 """
 
 import math
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -40,6 +39,7 @@ from armperturb.analysis.emg.channels import (
     said_of,
 )
 from armperturb.analysis.emg.doubtful import ABOVE_NOISE, remarks_on_amplitudes
+from armperturb.analysis.emg.reference import mean_known, means_of_trials, reference_power
 from armperturb.analysis.emg.whitening import (
     Intervals,
     Spectra,
@@ -68,9 +68,6 @@ MAINS = (50.0, 60.0)
 
 MODULUS = math.sqrt(math.pi / 2.0)
 """RMS of normal noise over the mean of its modulus [-]."""
-
-MAXIMAL_WINDOW, PLATEAU = 1.0, 0.8
-"""Time over which a maximal contraction is averaged [s], and power over its largest with which it counts [-]."""
 
 CORRELATED = 2**19
 """Samples of a trial, the first ones, in which channels are compared for cross-talk: four minutes at 2 kHz."""
@@ -214,7 +211,7 @@ class Envelopes(Result):
 
     def mean_power(self, start: float = 0.0) -> Array:
         """Mean power of each trial from a time [s] to its pulse, (trial, muscle)."""
-        return _means(self.power, self.labels["onset"].to_numpy(), round(start * self.rate))
+        return means_of_trials(self.power, self.labels["onset"].to_numpy(), round(start * self.rate))
 
     def to_frame(self) -> pd.DataFrame:
         """One row per condition and muscle: mean amplitude before the pulse over the reference's, and in volts."""
@@ -378,13 +375,13 @@ def envelopes(
             faults += of_channel
         shared += correlation(compared) / len(volts)
     labels = _labels(recording)
-    reference, largest = _reference(power, labels, maximal, mechanical)
+    reference, largest = reference_power(power, labels, maximal, mechanical)
     # A muscle that never rises above the noise is silent, not fully active.
     above = np.maximum(np.maximum(largest - filtered.noise, filtered.noise), np.finfo(np.float32).tiny)
     power /= above
     rectified /= np.sqrt(above)
     of_maximal = maximal if reference == "maximal contraction" else None
-    means, silent = _means(power, labels["onset"].to_numpy(), 0), filtered.noise / above
+    means, silent = means_of_trials(power, labels["onset"].to_numpy(), 0), filtered.noise / above
     return Envelopes(
         muscles=actions,
         labels=labels,
@@ -415,36 +412,3 @@ def _labels(recording: xr.Dataset) -> pd.DataFrame:
     onset, limit = onset_samples(recording), limit_samples(recording)
     frame.loc[limit <= onset, "pulse_onset"] = np.nan
     return frame.assign(start=start, onset=np.minimum(onset, limit).astype(np.intp))
-
-
-def _reference(power: Array, labels: pd.DataFrame, maximal: str, rate: float) -> tuple[str, Array]:
-    """What amplitudes are relative to, and its power, (muscle,)."""
-    is_maximal = (labels["condition"] == maximal).to_numpy()
-    if is_maximal.any():
-        window = max(round(MAXIMAL_WINDOW * rate), 1)
-        of_maximal = power[is_maximal]
-        is_dead = np.isnan(of_maximal)
-        summed, dead = (np.cumsum(each, axis=1) for each in (np.where(is_dead, 0.0, of_maximal), is_dead))
-        if summed.shape[1] > window:
-            means, lost = (each[:, window:] - each[:, :-window] for each in (summed, dead))
-            means = np.where(lost == 0, means / window, -1.0).reshape(-1, power.shape[2])
-            # Not the largest, which is that of the noise as well.
-            near = np.where((means >= PLATEAU * means.max(axis=0)) & (means >= 0.0), means, np.nan)
-            with warnings.catch_warnings(action="ignore"):
-                return "maximal contraction", np.nanmedian(near, axis=0)
-    means = _means(power, labels["onset"].to_numpy(), 0)
-    by_condition = pd.DataFrame(means).groupby(labels["condition"].to_numpy(), sort=False).mean()
-    shares = by_condition / by_condition.max().clip(lower=np.finfo(float).tiny)
-    loudest = str(shares.mean(axis=1).idxmax())
-    return loudest, by_condition.loc[loudest].fillna(0.0).to_numpy(dtype=float)
-
-
-def mean_known(power: Array) -> Array:
-    """Mean along the first axis of what is known; NaN where nothing is, as of a dead channel."""
-    with warnings.catch_warnings(action="ignore"):
-        return np.asarray(np.nanmean(power, axis=0))
-
-
-def _means(power: Array, ends: Array, first: int) -> Array:
-    """Mean of each trial from a sample to its end, without what is dead, (trial, muscle)."""
-    return np.stack([mean_known(each[first : max(int(end), first + 1)]) for each, end in zip(power, ends, strict=True)])

@@ -27,9 +27,10 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from armperturb.analysis.emg.envelope import Envelopes, mean_known
+from armperturb.analysis.emg.envelope import Envelopes
 from armperturb.analysis.emg.matching import rows_of
 from armperturb.analysis.emg.onset_fit import LATENCIES, N_GAINS, Fits, MusclePower, Stretch
+from armperturb.analysis.emg.reference import mean_known
 from armperturb.analysis.emg.rotation import rotation
 from armperturb.analysis.results import Description, Result, Table
 from armperturb.analysis.trials import ConditionTrials

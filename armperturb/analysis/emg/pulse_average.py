@@ -6,7 +6,8 @@ from collections.abc import Iterable
 import numpy as np
 import pandas as pd
 
-from armperturb.analysis.emg.envelope import Envelopes, mean_known
+from armperturb.analysis.emg.envelope import Envelopes
+from armperturb.analysis.emg.reference import mean_known
 
 BACKGROUND, SHORT, LONG = (-0.1, 0.0), (0.02, 0.05), (0.05, 0.1)
 """Windows about the onset of a pulse: before it, of short and of long latency [s]."""

@@ -47,6 +47,19 @@ ALIKE = 0.7
 SILENT = 0.1
 """Share of a channel's power above the noise below which its muscle counts as silent [-]."""
 
+FADED = 1.0
+"""Time at either end over which trials are faded in and out before their spectra are taken [s]: a drift has another
+value at the end than at the start, and such a step has power in the whole band."""
+
+FAINTEST = 1e-4
+"""Least power of a spectrum over its largest that a filter makes white [-]: instruments hide what is fainter."""
+
+DRIFT = 2.0
+"""Highest frequency of drifts [Hz]: they harm nothing, and are no movement artefacts."""
+
+STEADY = 1.0
+"""Time over which hum has one amplitude and phase [s]."""
+
 DEAD_SHARE = 1e-9
 """A trial with less than this share of the power of the loudest one is dead, not quiet [-]."""
 
@@ -66,6 +79,7 @@ class Whitening:
       gain: power that comes out over that of the muscle in the band, (muscle,).
       noise: power that comes out of the silent channel [V^2], (muscle,).
       hum: column to the frequencies that are cut out [Hz].
+      rate: of the samples [Hz].
     """
 
     edge: int
@@ -77,10 +91,14 @@ class Whitening:
     gain: Array
     noise: Array
     hum: dict[int, list[float]]
+    rate: float
 
     def __call__(self, volts: NDArray[np.float32], column: int) -> NDArray[np.float32]:
         """One channel of a trial within the band, white where the muscle is above the noise, (time,)."""
         n, edge = len(volts), self.edge
+        volts = volts - volts.mean(dtype=float).astype(np.float32)
+        for line in self.hum.get(column, ()):
+            volts = _without_line(volts, line, self.rate)
         # Point reflections at the ends, as a jump there would be a burst of what whitening lets through best.
         before, after = volts[edge:0:-1], volts[-2 : -edge - 2 : -1]
         extended = np.concatenate([2.0 * volts[:1] - before, volts, 2.0 * volts[-1:] - after])
@@ -101,8 +119,8 @@ class Spectra:
 
     Attributes:
       frequency: centres of bins [Hz], (bin,).
-      power: mean within each bin, without hum, (trial, muscle, bin).
-      below: power below the band over that in it, (trial, muscle).
+      power: mean within each bin, without hum, (trial, muscle, bin); below the band that at its edge.
+      below: power below the band, less that of drifts, over that in it, (trial, muscle).
       hum: column to the frequencies of the mains in it [Hz].
     """
 
@@ -123,29 +141,36 @@ class Spectra:
         """
         n_parts = parts_of(volts.shape[1])
         n_padded = padded_length(volts.shape[1], rate)
+        n_part = volts.shape[1] // n_parts
+        faded = signal.windows.tukey(n_part, min(1.0, 2.0 * FADED * rate / n_part)).astype(np.float32)
+        faded /= np.sqrt(np.mean(faded**2))
         frequency = fft.rfftfreq(n_padded, 1.0 / rate)
         starts = np.unique(np.searchsorted(frequency, np.arange(0.0, rate / 2.0, RESOLUTION)))
         sizes = np.diff(np.append(starts, len(frequency)))
         power, hum = np.empty((len(volts), volts.shape[2], len(starts))), dict[int, list[float]]()
+        below, is_slow = np.empty(power.shape[:2]), frequency < 0.75 * low
+        is_below = is_slow & (frequency > DRIFT)
         total = np.zeros((volts.shape[2], len(frequency)), dtype=np.float32)
         for trial, values in enumerate(volts):
-            means = values.mean(axis=0)
+            means = values.mean(axis=0, dtype=float).astype(np.float32)
             for column, mean in enumerate(means):  # one after the other, for the sake of memory
                 density = np.zeros(len(frequency), dtype=np.float32)
                 for part in values[: len(values) // n_parts * n_parts, column].reshape(n_parts, -1):
-                    transformed = fft.rfft(part - mean, n_padded)
+                    transformed = fft.rfft(faded * (part - mean), n_padded)
                     density += transformed.real**2 + transformed.imag**2
                 density /= n_parts
                 # Relative to the trial, as hum that strong contractions hide counts where the muscle is quiet.
                 total[column] += density / max(density.mean(), np.finfo(np.float32).tiny)
                 power[trial, column] = np.add.reduceat(density, starts) / sizes
+                below[trial, column] = density[is_below].sum() / max(density[~is_slow].sum(), 1e-30)
         centre = np.add.reduceat(frequency, starts) / sizes
         for column, mean in enumerate(total / len(volts)):
             if lines := hum_lines(mean, frequency, mains):
                 hum[column] = lines
                 _bridge(power[:, column], centre, lines)
-        is_below = centre < 0.75 * low
-        below = power[..., is_below].sum(axis=-1) / np.maximum(power[..., ~is_below].sum(axis=-1), 1e-30)
+        # What is below the band, as a drift, says nothing of the muscle at the band's edge.
+        n_below = int(np.searchsorted(centre, low))
+        power[..., :n_below] = power[..., n_below : n_below + 1]
         return cls(frequency=centre, power=power, below=below, hum=hum)
 
 
@@ -316,12 +341,14 @@ def whitening(
         of_trials = spectra.power[:, column]
         # The geometric mean: between strong and weak contractions, rather than the strongest.
         total = np.exp(np.mean(np.log(np.maximum(of_trials, 1e-9 * of_trials.max() + 1e-30)), axis=0))
+        total = np.maximum(total, FAINTEST * total.max())
         muscle = np.maximum(total - noise[column], 1e-6 * total)
         # Of a muscle that is always silent, what is above the noise is chance, and must not choose what is let through.
         is_silent = np.sum(passed * (total - noise[column])) < SILENT * np.sum(passed * total)
         power = passed * (muscle / total**2 if whiten and not is_silent else np.ones(len(total)))
         power /= power.max()
         root = np.interp(fine, frequency, np.sqrt(power))
+        root[fine < 0.5 * band[0]] = 0.0
         for line in spectra.hum.get(column, ()):
             root[np.abs(fine - line) < NOTCH] = 0.0
         response[column] = root
@@ -342,7 +369,23 @@ def whitening(
         gain=gain,
         noise=silent,
         hum=spectra.hum,
+        rate=rate,
     )
+
+
+def _without_line(volts: NDArray[np.float32], line: float, rate: float) -> NDArray[np.float32]:
+    """A signal (time,) without a sine of slowly changing amplitude and phase.
+
+    A notch alone would ring for longer than trials are extended at their ends.
+    """
+    turn = np.exp(2j * np.pi * line / rate * np.arange(len(volts)))
+    size = min(len(volts), round(STEADY * rate))
+    weight = ndimage.uniform_filter1d(np.ones(len(volts)), size, mode="constant")
+    turned = volts * turn.conj()
+    real, imaginary = (
+        ndimage.uniform_filter1d(part, size, mode="constant") / weight for part in (turned.real, turned.imag)
+    )
+    return (volts - 2.0 * ((real + 1j * imaginary) * turn).real).astype(np.float32)
 
 
 def _without_phase(frequency: Array, highpass: HighPass) -> NDArray[np.complex64]:

@@ -28,6 +28,7 @@ from armperturb.analysis.force_balance import EDGE
 from armperturb.analysis.manipulator import copies_left_out, manipulator_covariance
 from armperturb.analysis.measures.start_geometry import applied_perturbation
 from armperturb.analysis.per_trials import per_trials
+from armperturb.analysis.periods import check_period, common_period
 from armperturb.analysis.response.condition_spectra import condition_spectra, periodic_lines
 from armperturb.analysis.response.joint_records import excited_frequencies
 from armperturb.analysis.response.record_window import RecordWindow, quick_length
@@ -127,7 +128,7 @@ class Group:
         """
         parts = tuple(prepared_recordings(trials))
         for part in parts:
-            part.check_period(window_start, period)
+            check_period(part, window_start, period)
         spectra = condition_spectra(parts, window_start=window_start, period=period)
         lines = periodic_lines(parts, window_start, period)
         top = highest_frequency(parts, float((spectra if lines is None else lines).frequency[-1]))
@@ -421,7 +422,7 @@ def _period_likelihood(
 ) -> Likelihood | None:
     """That of the mean periods; None of a perturbation that was another a period earlier."""
     rate = trials.rate
-    n_period = round((trials.period(window_start) if period is None else period) * rate)
+    n_period = round((common_period([trials], window_start) if period is None else period) * rate)
     first = round(window_start * rate)
     end = min(trials.first_onset, trials.n_samples - round(EDGE * rate))
     d = trials.perturbation

@@ -23,6 +23,7 @@ from armperturb.analysis.fit.use_emg import UseOfEmg, told_of_emg
 from armperturb.analysis.manipulator import remarks_on_trials
 from armperturb.analysis.measures.start_geometry import in_start_geometry
 from armperturb.analysis.measures.vaf import prediction_vaf
+from armperturb.analysis.periods import check_period
 from armperturb.analysis.response.condition_spectra import condition_spectra
 from armperturb.analysis.response.spectra import SpectralEstimate
 from armperturb.analysis.trials import ConditionTrials, SeveralTrials, prepared_condition
@@ -183,7 +184,7 @@ class _Fitter:
         """What conditions yield that are fitted together."""
         for parts in conditions.values():
             for part in parts:
-                part.check_period(self.window_start, self.period)
+                check_period(part, self.window_start, self.period)
         spectra = {
             label: condition_spectra(
                 parts, window_start=self.window_start, period=self.period, lines_per_average=self.lines_per_average

@@ -144,9 +144,13 @@ def remarks_on_windows(left_out: Iterable[ConditionTrials]) -> list[str]:
 
 
 def _with_window(recorded: ConditionTrials) -> tuple[list[int], Indices]:
-    """Trials whose window after the pulse is recorded, and the sample after it."""
+    """Trials whose window after the pulse is recorded, and the sample after it.
+
+    Both ends of a window count, so that it may end with the first sample that fits leave out at the end of a record.
+    """
     n_window = round(WINDOWS[recorded.body.task] * recorded.rate) + 1
-    trials = [trial for trial, onset in enumerate(recorded.onset) if onset + n_window <= recorded.end]
+    is_edge = recorded.end == recorded.n_samples - round(EDGE * recorded.rate)
+    trials = [trial for trial, onset in enumerate(recorded.onset) if onset + n_window <= recorded.end + is_edge]
     return trials, recorded.onset[trials] + n_window
 
 

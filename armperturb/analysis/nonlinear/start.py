@@ -13,6 +13,7 @@ from armperturb.analysis.fit.structures import structure_of
 from armperturb.analysis.nonlinear.model import QUANTITIES, Parameters, bounds, coordinate, leveled_condition, stem
 from armperturb.analysis.nonlinear.problem import Problem
 from armperturb.analysis.nonlinear.simulated import State
+from armperturb.analysis.periods import common_period
 from armperturb.analysis.response.condition_spectra import periodic_lines
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
@@ -113,7 +114,7 @@ def _needed(conditions: Sequence[ConditionTrials], window_start: float, period: 
         late = trials.take(np.flatnonzero(trials.onset > round(window_start * trials.rate) + 1))
         if late.n_trials and late.is_perturbed(window_start):
             is_periodic = periodic_lines([late], window_start) is not None
-            return window_start + late.period(window_start) if is_periodic else SHORTEST
+            return window_start + common_period([late], window_start) if is_periodic else SHORTEST
     if all(_are_over(trials) for trials in conditions):
         return 0.0
     raise ValueError(

@@ -7,8 +7,9 @@ import numpy as np
 
 from armperturb.analysis.force_balance import NoiseLevels, Skew
 from armperturb.analysis.imbalance import Imbalance
+from armperturb.analysis.periods import common_period
 from armperturb.analysis.plateaus import LEAST_RUN, clipped_stretches, held_stretches, runs
-from armperturb.analysis.trials import ConditionTrials, common_period
+from armperturb.analysis.trials import ConditionTrials
 from armperturb.environment import Environment
 
 SIGNALS = ("perturbation", "force", "displacement")

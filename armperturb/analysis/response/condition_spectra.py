@@ -5,12 +5,33 @@ from contextlib import suppress
 
 import numpy as np
 
-from armperturb.analysis.defaults import LINES_PER_AVERAGE, SETTLED, WINDOW_START
+from armperturb.analysis.defaults import LINES_PER_AVERAGE, SETTLED, SETTLING, WINDOW_START
+from armperturb.analysis.periods import common_period, settled_start
 from armperturb.analysis.response.closed_loop import local_fits
 from armperturb.analysis.response.joint_records import admittance_of
 from armperturb.analysis.response.spectra import LineSpectra, SpectralEstimate, averaged_spectra, line_spectra
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.recording import labels_of
+
+
+def whole_periods_start(parts: Sequence[ConditionTrials], window_start: float = WINDOW_START) -> float | None:
+    """Latest time from which trials hold a whole period: `window_start`, or else `SETTLING` or `SETTLED` [s].
+
+    None where the disturbance has no period, trials hold none, or they differ in length.
+
+    Args:
+      parts: trials of one condition, those of one length together.
+      window_start: start of the window of whole periods, as it is wanted [s].
+    """
+    if len(parts) > 1:
+        return None
+    latest = settled_start(parts, window_start)
+    for start in (latest, *(settled_start(parts, earlier) for earlier in (SETTLING, SETTLED))):
+        if start <= latest:
+            with suppress(ValueError):
+                parts[0].window(start, common_period(parts, window_start))
+                return start
+    return None
 
 
 def periodic_lines(
@@ -48,24 +69,24 @@ def condition_spectra(
     Args:
       parts: trials of one condition, those of one length together.
       window_start: start of the window of whole periods [s].
-      period: of the disturbance [s]; None to find it. Where there is none, no whole period from `window_start` on, or
-        its lines do not tell the response, whole records are used, see `closed_loop.estimate_noise`.
+      period: of the disturbance [s]; None to find it. Where trials hold no whole period from `window_start` on, the
+        window is earlier, see `whole_periods_start`. Where there is no period, or its lines do not tell the response,
+        whole records are used, see `closed_loop.estimate_noise`.
       lines_per_average: of whole periods, see `estimate_spectra`.
 
     Raises:
       ValueError: as `averaged_spectra` with a stated period, and as `estimate_noise` otherwise.
     """
-    if periodic_lines(parts, window_start, period) is not None:
-        try:
-            return averaged_spectra(
-                parts[0], window_start=window_start, period=period, lines_per_average=lines_per_average
-            )
-        except ValueError:
-            if period is None:
-                with suppress(ValueError):
-                    return _by_whole_records(parts)
-            raise
-    return _by_whole_records(parts)
+    start = window_start if period is not None else whole_periods_start(parts, window_start)
+    if start is None or periodic_lines(parts, start, period) is None:
+        return _by_whole_records(parts)
+    try:
+        return averaged_spectra(parts[0], window_start=start, period=period, lines_per_average=lines_per_average)
+    except ValueError:
+        if period is None:
+            with suppress(ValueError):
+                return _by_whole_records(parts)
+        raise
 
 
 def _by_whole_records(parts: Sequence[ConditionTrials]) -> SpectralEstimate:

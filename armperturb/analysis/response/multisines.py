@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
-from armperturb.analysis.defaults import LINES_PER_AVERAGE
+from armperturb.analysis.defaults import LINES_PER_AVERAGE, SETTLED
 from armperturb.analysis.numerics.periodicity import samples_of_period
+from armperturb.analysis.periods import APERIODIC, common_period, settled_start, without_fade
 from armperturb.analysis.response.closed_loop import (
     HALF_WIDTH,
     HIGH_ORDERS,
@@ -38,14 +39,7 @@ from armperturb.analysis.response.local_polynomial import (
     n_unknowns,
 )
 from armperturb.analysis.response.spectra import EXCITED_LINE
-from armperturb.analysis.trials import (
-    APERIODIC,
-    SeveralTrials,
-    TrialRecord,
-    common_period,
-    prepared_recordings,
-    records_of,
-)
+from armperturb.analysis.trials import SeveralTrials, TrialRecord, prepared_recordings, records_of
 from armperturb.arrays import Array, ComplexArray
 from armperturb.validation import require_number
 
@@ -174,7 +168,7 @@ def periodic_trials(
     Args:
       recordings: trials of one subject in one condition.
       period: of the disturbance [s]; None finds it, see `periodicity`.
-      window_start: start of what is used [s].
+      window_start: start of what is used [s]; of trials that nothing perturbs yet, see `settled_start`.
       lines_per_average: excited lines in a group, where there are as many without a wider gap than between the closest
         two; more where quiet lines are too few to tell leakage and noise, or the band is wide; fewer where they are far
         apart, each tells the responses along x and y, and `apart` is above 1.
@@ -192,19 +186,21 @@ def periodic_trials(
     rate = several[0].rate
     if period is None:
         period = common_period(several, window_start)
-    records = records_of(several, window_start)
+    start = settled_start(several, window_start)
     n = samples_of_period(period, rate)
+    records = [without_fade(record, n) for record in records_of(several, start)]
     for number, record in enumerate(records):
         d = record.perturbation
         if len(d) < n:
             raise ValueError(
-                f"trial {number} holds {len(d) / rate:g} s from {window_start:g} s on; expected a whole period of "
+                f"trial {number} holds {len(d) / rate:g} s from {start:g} s on; expected a whole period of "
                 f"{period:g} s (an earlier --window-start)"
             )
         if np.mean((d[n:] - d[:-n]) ** 2 if len(d) > n else 0.0) > APERIODIC * np.mean(d**2):
             raise ValueError(
-                f"the perturbation of trial {number} does not repeat after {period:g} s; expected its own period "
-                "(without --period it is found; for noise there is --method noise)"
+                f"the perturbation of trial {number} does not repeat after {period:g} s from {start:g} s on; expected "
+                "its own period (without --period it is found; a later --window-start leaves out what comes before; "
+                "for noise there is --method noise)"
             )
     trials, excited = _mean_periods(records, n)
     wanted = max(-(-apart // _closest(excited)), int(np.ceil(shortest / period)))
@@ -217,9 +213,11 @@ def periodic_trials(
     ]
     together = max(enough, default=1)
     remarks: tuple[str, ...] = ()
+    if start > window_start:
+        remarks += (f"nothing perturbs all trials before {start - SETTLED:.3g} s: they are used from {start:.3g} s on",)
     if together > 1:
         if n_short := int(np.sum(n_held < together)):
-            remarks = (
+            remarks += (
                 f"{n_short} of {len(records)} trials hold fewer than {together} periods of {period:g} s, and are left "
                 "out: so many are taken together",
             )

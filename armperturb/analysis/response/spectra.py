@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START
 from armperturb.analysis.per_trials import per_trials
+from armperturb.analysis.periods import common_period
 from armperturb.analysis.response.joint_records import SAME_DIRECTION
 from armperturb.analysis.response.local_polynomial import N_INPUTS
 from armperturb.analysis.results import Description, Result, Table, plain, response_coordinates, response_frame
@@ -35,6 +36,10 @@ if TYPE_CHECKING:
 
 EXCITED_LINE = 1e-4
 """Share of the strongest line's power from which on a line counts as excited."""
+
+WIDEST_AVERAGE, ENOUGH = 0.4, 4
+"""Distance of lines up to which they are averaged [Hz], and averages per point below which those farther apart are [-]:
+an arm's response bends over more, and with two averages its coherence is one by construction."""
 
 LEAST_POWER = 1e-12
 """Share of the other axis's power below which a disturbance counts as none: rounding leaves less [-]."""
@@ -156,7 +161,7 @@ def line_spectra(
     """
     trials.require_inside()
     if period is None:
-        period = trials.period(window_start)
+        period = common_period([trials], window_start)
     window = trials.window(window_start, period)
     n_period = round(period * trials.rate)
     d, f, x = (_spectrum(values[:, window], n_period) for values in trials.signals)
@@ -209,7 +214,8 @@ def estimate_spectra(lines: LineSpectra, *, lines_per_average: int = LINES_PER_A
 
     Spectra (not gains) are averaged over `lines_per_average` adjacent lines (fewer where the run of lines is shorter, a
     few more where it leaves a rest) and over all trials. Lines are adjacent that are as close as the closest two: of a
-    multisine of odd lines, every second one.
+    multisine of odd lines, every second one. Unless more than `LINES_PER_AVERAGE` are asked for, those that are farther
+    apart than `WIDEST_AVERAGE` are averaged over trials alone, if these are enough.
 
     Args:
       lines: Fourier coefficients of trials of one subject in one condition.
@@ -224,7 +230,11 @@ def estimate_spectra(lines: LineSpectra, *, lines_per_average: int = LINES_PER_A
     d, f, x = lines.perturbation, lines.force, lines.displacement
     gaps = np.diff(lines.line)
     runs = np.split(np.arange(len(lines.line)), np.flatnonzero(gaps > gaps.min(initial=gaps.max(initial=1))) + 1)
-    groups = [group for run in runs for group in np.array_split(run, max(1, len(run) // lines_per_average))]
+    apart = np.diff(lines.frequency).min(initial=np.inf)
+    # Lines that are far apart are averaged over trials alone, as far as these are enough averages.
+    near, needed = int(WIDEST_AVERAGE / apart + 1e-6) + 1, -(-ENOUGH // len(d))
+    size = lines_per_average if lines_per_average > LINES_PER_AVERAGE else min(lines_per_average, max(near, needed))
+    groups = [group for run in runs for group in np.array_split(run, max(1, len(run) // size))]
     n_averages = np.array([len(group) * len(d) for group in groups])
     frequency = np.array([lines.frequency[group].mean() for group in groups])
     if n_averages.min() < N_INPUTS:

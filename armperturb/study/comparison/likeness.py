@@ -26,9 +26,10 @@ from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.analysis.cuts import require_two_axes
 from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.measures.endpoint import EndpointMatrix
+from armperturb.analysis.periods import common_period
 from armperturb.analysis.response.estimate import response
 from armperturb.analysis.results import Description, Result, Table
-from armperturb.analysis.trials import ConditionTrials, common_period, prepared_condition, records_of
+from armperturb.analysis.trials import ConditionTrials, prepared_condition, records_of
 from armperturb.arrays import Array, ComplexArray
 from armperturb.cohort import draw_person, draw_subject
 from armperturb.controllers.remnant import HUMAN_NOISE

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from armperturb.analysis.emg.activity import relaxation_sentence
-from armperturb.analysis.emg.envelope import mean_known
+from armperturb.analysis.emg.reference import mean_known
 from armperturb.analysis.emg.reflex import CLEAR, DELAYS
 from armperturb.study.comparison.cocontraction import cocontraction_tests, left_out_of_tests
 from armperturb.study.report.figures import emg as emg_figures

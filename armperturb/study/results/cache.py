@@ -37,15 +37,15 @@ LOG = logging.getLogger(__name__)
 Result = TypeVar("Result")
 
 VERSIONS = {
-    "person": 9,
-    "step-2": 7,
+    "person": 10,
+    "step-2": 8,
     "nonlinear": 7,
     "mechanisms": 1,
     "moving-shoulder": 2,
     "figure": 2,
     "played": 2,
     "films": 1,
-    "emg": 13,
+    "emg": 14,
 }
 """Kind of result to the version of its algorithm.
 

@@ -19,6 +19,7 @@ from armperturb.analysis.fit.identify import identify
 from armperturb.analysis.fit.maximum_likelihood import Estimate
 from armperturb.analysis.fit.structures import structure_of
 from armperturb.analysis.fit.thesis import ThesisEstimate
+from armperturb.analysis.response.condition_spectra import whole_periods_start
 from armperturb.analysis.response.spectra import SpectralEstimate, single_trial_spectra
 from armperturb.analysis.results import PARAMETER_COLUMNS, Description, Result
 from armperturb.analysis.trials import ConditionTrials
@@ -179,7 +180,7 @@ def _identify(
             if trial not in multisine.numbers
         ]
     case = Case(condition=condition, name=name, recording=path, identification=None, left_out=tuple(left_out))
-    if condition in protocol.too_short() and not _holds_a_period(multisine):
+    if condition in protocol.too_short() and (multisine is None or whole_periods_start([multisine]) is None):
         reason = f"the multisine lasts {protocol.multisine_lasts(condition):g} s, and the analysis needs {NEEDED:g} s"
         left_out.append(f"{name} in {condition.name} was not identified: {reason}")
         case = replace(case, left_out=tuple(left_out))
@@ -192,9 +193,10 @@ def _identify(
     try:
         identification = identify(multisine, structure_of(LINEAR_MODELS[condition.task]))
         single_trials: tuple[SpectralEstimate, ...] = ()
-        with suppress(ValueError):  # one trial alone may be too short for spectra of its own
-            single_trials = single_trial_spectra(multisine)
-        window = multisine_window(multisine.recording)
+        if (start := whole_periods_start([multisine])) is not None:
+            with suppress(ValueError):  # one trial alone may be too short for spectra of its own
+                single_trials = single_trial_spectra(multisine, window_start=start)
+        window = multisine_window(multisine.recording, may_be_earlier=True)
         return replace(
             case,
             identification=identification,
@@ -209,22 +211,13 @@ def _identify(
 
 def _with_thesis(case: Case, multisine: ConditionTrials) -> Case:
     """The case with what the thesis's estimator gives, or why it gives nothing."""
+    model, start = LINEAR_MODELS[case.condition.task], whole_periods_start([multisine])
     try:
-        return replace(case, thesis=identify(multisine, LINEAR_MODELS[case.condition.task], estimator="thesis"))
+        thesis = identify(multisine, model, estimator="thesis", window_start=WINDOW_START if start is None else start)
+        return replace(case, thesis=thesis)
     except ValueError as error:
         line = f"{case.name} in {case.condition.name} was not identified by the thesis's estimator: {error}"
         return replace(case, left_out=(*case.left_out, line))
-
-
-def _holds_a_period(trials: ConditionTrials | None) -> bool:
-    """Whether trials hold a whole period of what perturbs them, which may be shorter than the thesis's."""
-    if trials is None or not trials.n_trials:
-        return False
-    try:
-        trials.window(WINDOW_START, trials.period(WINDOW_START))
-    except ValueError:
-        return False
-    return True
 
 
 def _rms(signal: Array) -> float:

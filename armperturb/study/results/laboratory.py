@@ -12,12 +12,9 @@ from armperturb.perturbations.perturbation import LARGEST_RMS_DISPLACEMENT
 from armperturb.recording_files import load_recording
 from armperturb.study.protocol import THESIS, Condition, Protocol
 from armperturb.study.results.cases import Case
+from armperturb.study.results.quantities import is_faint
 from armperturb.study.results.recordings import with_pulse_labels
 from armperturb.subject import TASKS
-
-FAINT = 0.005
-"""SD of the force before a pulse over the range of a recording's perturbation [-], up to which it is noise of the
-instrument."""
 
 STILL = 1e-6
 """RMS displacement that stands for a handle that does not move [m], as a multisine has to move it."""
@@ -68,7 +65,7 @@ class _Seen:
             self.unlabelled |= not (known and np.isfinite(direction))
         end = round(onset * float(trial.attrs["rate"])) if has_pulse else trial.sizes["time"]
         force = trial["perturbation"].values
-        if end > 0 and force[:end].std(axis=0).max() > FAINT * largest:
+        if not is_faint(force[:end], largest):
             self.movements.append(float(np.mean(trial["displacement"].values[:end] ** 2)))
 
     def pulse_levels(self, known: Condition) -> tuple[float, ...]:

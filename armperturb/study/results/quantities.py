@@ -35,10 +35,11 @@ import numpy as np
 import xarray as xr
 
 from armperturb.analysis.cuts import onset_samples
-from armperturb.analysis.defaults import SETTLED, WINDOW_START
+from armperturb.analysis.defaults import SETTLED, SETTLING, WINDOW_START
 from armperturb.analysis.measures import kinematics
 from armperturb.analysis.measures.pulse import peak_norm, pulse_span
 from armperturb.analysis.numerics.periodicity import find_period
+from armperturb.analysis.start import first_push
 from armperturb.arrays import Array
 from armperturb.copied_trials import without_copies
 from armperturb.perturbations.multisine import PERIOD
@@ -48,6 +49,10 @@ from armperturb.study.published.tables import MeanSD
 
 JOINT_LETTERS = ("s", "e")
 """Shoulder and elbow, in the order of a recording."""
+
+FAINT = 0.005
+"""SD of the force before a pulse over the range of a recording's perturbation [-], up to which it is noise of the
+instrument."""
 
 LIMITS = (0.5, 1.0, 2.0)
 """Distances from the published mean within which cells are counted [published SD]."""
@@ -166,15 +171,21 @@ def measure(
     levels: dict[str, set[str]] = {}
     conditions = inside["condition"].values
     windows = {
-        str(each): multisine_window(inside.isel(trial=conditions == each), window_start, period)
+        str(each): multisine_window(
+            inside.isel(trial=conditions == each),
+            window_start,
+            period,
+            may_be_earlier=each not in published.conditions(),
+        )
         for each in dict.fromkeys(conditions.tolist())
     }
+    largest = float(np.ptp(inside["perturbation"].values, axis=1).max(initial=0.0))
     for trial, condition in enumerate(conditions.tolist()):
         window = windows[condition]
         of_thesis = condition in published.conditions()
         has_pulse = not np.isnan(inside["pulse_onset"].values[trial])
         parts: list[Callable[[], Iterator[_Value]]] = []
-        if published.has_multisine(condition) if of_thesis else _is_perturbed(inside, trial, window):
+        if published.has_multisine(condition) if of_thesis else _is_perturbed(inside, trial, window, largest):
             parts.append(partial(_multisine_values, path, trial, window))
         if has_pulse and not of_thesis:
             levels.setdefault(condition, set()).add(_level_of(inside, trial))
@@ -266,32 +277,57 @@ def _first_sample_from(time: float, rate: float) -> int:
     return round(samples) if math.isclose(samples, round(samples), abs_tol=1e-6) else math.ceil(samples)
 
 
-def multisine_window(recording: xr.Dataset, window_start: float = WINDOW_START, period: float | None = None) -> slice:
+def multisine_window(
+    recording: xr.Dataset,
+    window_start: float = WINDOW_START,
+    period: float | None = None,
+    *,
+    may_be_earlier: bool = False,
+) -> slice:
     """Samples in which a condition's multisine is measured: whole periods, one at least.
 
     Args:
       recording: trials of one condition.
       window_start: where they begin [s].
       period: of the multisine [s]; None to find it. Where nothing repeats, it is the thesis's.
+      may_be_earlier: whether they begin earlier where there is none from then on, see `whole_periods_start`; trials
+        without any are measured whole.
     """
     rate, ends = float(recording.attrs["rate"]), onset_samples(recording)
+    before = [d[:end] for d, end in zip(recording["perturbation"].values, ends, strict=True)]
+    begin = first_push([d for d in before if d.any()]) / rate
     if period is None:
-        begin = round(min(window_start, SETTLED) * rate)
-        before = [d[begin:end] for d, end in zip(recording["perturbation"].values, ends, strict=True)]
+        first = round(min(window_start, begin + SETTLED) * rate)
         try:
-            period = find_period([d for d in before if len(d) > 1 and d.any()], rate)
+            period = find_period([d[first:] for d in before if len(d) > first + 1 and d[first:].any()], rate)
         except ValueError:
             period = PERIOD
+    earlier = (begin + SETTLING, begin + SETTLED) if may_be_earlier else ()
+    for start in (window_start, *(each for each in earlier if each < window_start)):
+        first = round(start * rate)
+        if (n_periods := int((ends.min() - first + 0.5) // (period * rate))) >= 1:
+            return slice(first, first + round(n_periods * period * rate))
+    if may_be_earlier:
+        return slice(0, int(ends.min()))
     first = round(window_start * rate)
-    n_periods = max(int((ends.min() - first + 0.5) // (period * rate)), 1)
-    return slice(first, first + round(n_periods * period * rate))
+    return slice(first, first + round(period * rate))
 
 
-def _is_perturbed(recording: xr.Dataset, trial: int, window: slice) -> bool:
+def is_faint(force: Array, largest: float) -> bool:
+    """Whether a force is noise of the instrument, or none.
+
+    Args:
+      force: before a pulse, or part of it [N], (time, axis).
+      largest: range of the perturbation over all trials of the recording [N].
+    """
+    return len(force) == 0 or bool(force.std(axis=0).max() <= FAINT * largest)
+
+
+def _is_perturbed(recording: xr.Dataset, trial: int, window: slice, largest: float) -> bool:
     """Whether the handle is perturbed in the multisine's window, before any pulse."""
     onset = float(recording["pulse_onset"].values[trial])
     end = window.stop if np.isnan(onset) else min(window.stop, round(onset * float(recording.attrs["rate"])))
-    return bool(recording["perturbation"].values[trial, window.start : end].any())
+    return not is_faint(recording["perturbation"].values[trial, window.start : end], largest)
 
 
 def _multisine_values(path: _Path, trial: int, window: slice) -> Iterator[_Value]:

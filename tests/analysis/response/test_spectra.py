@@ -205,7 +205,7 @@ def test_every_second_line_is_adjacent_to_the_next():
     names = ("perturbation", "force", "displacement")
     signals = {name: generator.standard_normal((2, 12, 4)).view(complex) for name in names}
     every, odd = (
-        LineSpectra(line=step * np.arange(1, 13), frequency=0.1 * step * np.arange(1, 13), **signals) for step in (1, 2)
+        LineSpectra(line=step * np.arange(1, 13), frequency=step / 20 * np.arange(1, 13), **signals) for step in (1, 2)
     )
     for n, n_points in ((4, 3), (6, 2), (12, 1)):
         assert len(estimate_spectra(odd, lines_per_average=n).frequency) == n_points

@@ -7,7 +7,7 @@ import pytest
 
 from armperturb import recording as recordings
 from armperturb import recording_files
-from armperturb.analysis import trials
+from armperturb.analysis import periods, trials
 from armperturb.analysis.force_balance import Balance
 from armperturb.analysis.response import spectra
 from armperturb.recording_files import load_recording, save_recording
@@ -34,7 +34,7 @@ def test_trials_are_checked_cut_and_identified_once(noisy_relax_recording, tmp_p
             monkeypatch.setattr(place, name, counted)
 
     count(recordings, "check_recording", recording_files, trials)
-    count(trials, "find_period")
+    count(periods, "find_period")
     count(spectra, "estimate_spectra")
     count(Balance, "fit")
     protocol = Protocol(
