@@ -105,6 +105,32 @@ class SpectralEstimate(Result):
             attrs=self.labels,
         )
 
+    def interpolated(self, frequency: Array) -> "SpectralEstimate":
+        """The estimate between its frequencies, gains and phases along the logarithm of the frequency.
+
+        Args:
+          frequency: where it is wanted [Hz], (frequency,); beyond the ends, that at the ends is held.
+        """
+
+        def between(values: Array) -> Array:
+            every = values.reshape(len(values), -1).T
+            moved = [np.interp(np.log(frequency), np.log(self.frequency), each) for each in every]
+            return np.array(moved).T.reshape(len(frequency), *values.shape[1:])
+
+        def response(values: ComplexArray) -> ComplexArray:
+            phase = between(np.unwrap(np.angle(values), axis=0))
+            return np.asarray(np.exp(between(np.log(np.abs(values))) + 1j * phase))
+
+        return replace(
+            self,
+            frequency=np.asarray(frequency, dtype=float),
+            arm=response(self.arm),
+            environment=response(self.environment),
+            total=response(self.total),
+            coherence=between(self.coherence),
+            n_averages=np.round(between(self.n_averages.astype(float))).astype(np.int64),
+        )
+
     def plot(self, figure: "Figure | None" = None) -> Any:
         """Draw the arm's admittance.
 
@@ -213,7 +239,7 @@ def estimate_spectra(lines: LineSpectra, *, lines_per_average: int = LINES_PER_A
     """Estimate admittances and coherence.
 
     Spectra (not gains) are averaged over `lines_per_average` adjacent lines (fewer where the run of lines is shorter, a
-    few more where it leaves a rest) and over all trials. Lines are adjacent that are as close as the closest two: of a
+    few more at its end where it leaves a rest) and over all trials. Lines are adjacent that are as close as the closest two: of a
     multisine of odd lines, every second one. Unless more than `LINES_PER_AVERAGE` are asked for, those that are farther
     apart than `WIDEST_AVERAGE` are averaged over trials alone, if these are enough.
 
@@ -234,7 +260,8 @@ def estimate_spectra(lines: LineSpectra, *, lines_per_average: int = LINES_PER_A
     # Lines that are far apart are averaged over trials alone, as far as these are enough averages.
     near, needed = int(WIDEST_AVERAGE / apart + 1e-6) + 1, -(-ENOUGH // len(d))
     size = lines_per_average if lines_per_average > LINES_PER_AVERAGE else min(lines_per_average, max(near, needed))
-    groups = [group for run in runs for group in np.array_split(run, max(1, len(run) // size))]
+    # A rest is spread over the highest groups: how far up lines are excited moves no point at low frequencies.
+    groups = [each[::-1] for run in runs for each in np.array_split(run[::-1], max(1, len(run) // size))[::-1]]
     n_averages = np.array([len(group) * len(d) for group in groups])
     frequency = np.array([lines.frequency[group].mean() for group in groups])
     if n_averages.min() < N_INPUTS:

@@ -35,6 +35,7 @@ class Finding:
       lower: end of the interval of the mean [-]; NaN for one person.
       upper: likewise.
       values: person to their own value [-].
+      frequency: at which gains were compared [Hz]; none of pulses.
     """
 
     name: str
@@ -44,14 +45,26 @@ class Finding:
     lower: float
     upper: float
     values: dict[str, float]
+    frequency: tuple[float, ...] = ()
 
     @classmethod
-    def of(cls, name: str, above: str, below: str, values: dict[str, float]) -> "Finding | None":
+    def of(
+        cls, name: str, above: str, below: str, values: dict[str, float], frequency: Sequence[float] = ()
+    ) -> "Finding | None":
         """That of values per person; None without any."""
         if not values:
             return None
         mean, lower, upper = geometric_mean(list(values.values()))
-        return cls(name=name, above=above, below=below, mean=mean, lower=lower, upper=upper, values=values)
+        return cls(
+            name=name,
+            above=above,
+            below=below,
+            mean=mean,
+            lower=lower,
+            upper=upper,
+            values=values,
+            frequency=tuple(frequency),
+        )
 
     @property
     def rises(self) -> bool:
@@ -131,8 +144,10 @@ def _ratio(study: StudyResult, name: str, above: str, below: str) -> Finding | N
     under = {case.name: case for case in study.of(below)}
     pairs = [(case, under[case.name]) for case in study.of(above) if case.name in under]
     # Gains fall with frequency: those of other frequencies tell nothing of the person.
-    values = {over.name: low_gain(over) / low_gain(each) for over, each in pairs if _are_alike(over, each)}
-    return Finding.of(name, above, below, values)
+    alike = [(over, each) for over, each in pairs if _are_alike(over, each)]
+    values = {over.name: low_gain(over) / low_gain(each) for over, each in alike}
+    frequency = alike[0][0].identified.spectra.frequency[:N_LOW].tolist() if alike else ()
+    return Finding.of(name, above, below, values, frequency)
 
 
 def _are_alike(first: Case, second: Case) -> bool:

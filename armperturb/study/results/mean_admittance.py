@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Collection, Iterable
+from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -16,6 +17,9 @@ from armperturb.subject import TASKS
 if TYPE_CHECKING:
     from armperturb.plots.bands import Curve
 
+
+NEARBY = 0.07
+"""Distance of frequencies over the frequency up to which one is near the other [-]."""
 
 APART = 1.1
 """Ratio of two movements from which on they differ in amplitude [-]."""
@@ -61,10 +65,30 @@ def main_conditions(study: StudyResult) -> dict[str, Condition]:
 
 
 def at_usual_frequencies(cases: Iterable[Case]) -> list[Case]:
-    """Those of some cases whose admittance is at the frequencies at which most have it, or of as many, the first."""
+    """Cases at the frequencies at which most have their admittance, or of as many, the first.
+
+    Those who have it at others nearby are interpolated, as people under noise; those who have none `NEARBY` are left
+    out.
+    """
     every = [(case, tuple(np.round(case.identified.spectra.frequency, 3).tolist())) for case in cases]
-    usual = max(counts, key=counts.__getitem__) if (counts := Counter(of_case for _, of_case in every)) else ()
-    return [case for case, of_case in every if of_case == usual]
+    if not every:
+        return []
+    counts = Counter(of_case for _, of_case in every)
+    usual = max(counts, key=counts.__getitem__)
+    frequency = next(case.identified.spectra.frequency for case, of_case in every if of_case == usual)
+    alike = []
+    for case, of_case in every:
+        if of_case == usual:
+            alike.append(case)
+        elif _is_nearby(frequency, case.identified.spectra.frequency):
+            spectra = case.identified.spectra.interpolated(frequency)
+            alike.append(replace(case, identification=replace(case.identified, spectra=spectra)))
+    return alike
+
+
+def _is_nearby(wanted: Array, known: Array) -> bool:
+    """Whether there is a known frequency near each that is wanted."""
+    return bool((np.abs(np.log(wanted[:, None] / known)).min(axis=1) < NEARBY).all())
 
 
 class MeanAdmittance(NamedTuple):

@@ -10,6 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
+from armperturb.analysis.response.local_polynomial import N_INPUTS
 from armperturb.plots.bands import draw_bands
 from armperturb.plots.panels import (
     AXES,
@@ -203,7 +204,9 @@ def coherence(study: StudyResult) -> Figure:
         for output, ax in enumerate(panels[:, 0]):
             ax.set_ylabel(rf"$\gamma^2_{{{AXES[output]}d}}$ [-]")
         if number == 0:
-            panels[0, 0].text(0.2, 0.47, "expected of pure noise", color=GREY, fontsize=8, va="top")
+            panels[0, 0].text(
+                0.02, 0.04, "dotted: noise", color=GREY, fontsize=8, transform=panels[0, 0].transAxes
+            )
     return figure
 
 
@@ -212,11 +215,13 @@ def _draw_coherence(column: NDArray[np.object_], cases: list[Case]) -> None:
     cases = [case for case in at_usual_frequencies(cases) if case.single_trials]
     if not cases:
         return
+    n_points = len(cases[0].single_trials[0].frequency)
+    cases = [case for case in cases if len(case.single_trials[0].frequency) == n_points]
     of_subjects = np.stack([np.mean([trial.coherence for trial in case.single_trials], axis=0) for case in cases])
     spread = of_subjects.std(axis=0, ddof=1) if len(of_subjects) > 1 else None
     mean, frequency = of_subjects.mean(axis=0), cases[0].single_trials[0].frequency
     look: dict[str, Any] = {"markersize": 3, "elinewidth": 0.9, "color": COLOURS[cases[0].condition.task]}
     for output, ax in enumerate(column):
         ax.errorbar(frequency, mean[:, output], None if spread is None else spread[:, output], fmt="o-", **look)
-        ax.axhline(0.5, color=GREY, linewidth=1, linestyle=":")
+        ax.plot(frequency, N_INPUTS / cases[0].single_trials[0].n_averages, color=GREY, linewidth=1, linestyle=":")
         ax.set(xscale="log", ylim=(0, 1.05))

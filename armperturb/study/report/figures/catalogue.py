@@ -87,7 +87,8 @@ def _of_cases(study: StudyResult, effects: Effects) -> Drawings:
         drawn["findings"] = partial(findings_figures.findings, study)
         drawn["admittance_by_task"] = partial(admittance_figures.admittance_by_task, study)
         drawn["gain_linear_scale"] = partial(admittance_figures.gain_linear_scale, study, marks)
-        drawn["coherence"] = partial(admittance_figures.coherence, study)
+        if any(case.single_trials for condition in study.conditions for case in study.of(condition.name)):
+            drawn["coherence"] = partial(admittance_figures.coherence, study)
     for task, first in main.items():
         if len(by_task(study)[task]) > 1:
             drawn[f"admittance_by_amplitude_{task}"] = partial(
