@@ -77,6 +77,15 @@ def test_a_search_that_is_interrupted_goes_on_and_writes_what_it_found(path, cap
     out, save = path.parent / "out", estimate.save_position
     with monkeypatch.context() as patch:
 
+        def at_once(*_, **__):
+            raise KeyboardInterrupt
+
+        patch.setattr(estimate, "save_position", at_once)
+        assert run(path, "--law", "linear") == 130
+    assert capsys.readouterr().err.splitlines()[-1] == "armperturb: interrupted"  # nothing to continue from
+    assert not out.exists()
+    with monkeypatch.context() as patch:
+
         def interrupted(checkpoint, digest, position):
             save(checkpoint, digest, position)
             if position.n_steps == 2:

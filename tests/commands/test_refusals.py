@@ -55,7 +55,7 @@ REFUSALS = {
         r"period of 10 s \(an earlier --window-start\)",
     ),
     "wrong period": (RESPONSE, "fitting", ("--period", "7"), r"\(without --period it is found; .* --method noise\)"),
-    "wrong period, identified": (IDENTIFY, "fitting", ("--period", "7"), r"\(without --period it is found\)"),
+    "wrong period, identified": (IDENTIFY, "fitting", ("--period", "7"), r"\(without --period it is found;"),
     "uneven period": (RESPONSE, "fitting", ("--period", "7.0012"), r"\(it is 700.12; convert --rate resamples\)"),
     "condition": (IDENTIFY, "fitting", ("--condition", "PT"), "no condition 'PT'; expected one of multisine"),
     "free inertia": (IDENTIFY, "fitting", ("--body", "male", "1.8", "80"), r"\(--fix m=0 --free i\)"),

@@ -13,7 +13,7 @@ from test_convert import in_matlab, truth, v73, write_c3d
 
 from armperturb import cli
 from armperturb.analysis.fit.identify import identify
-from armperturb.convert.columns import axis_of
+from armperturb.convert.columns import axis_of, columns_of, dialect_of
 from armperturb.convert.importer import import_recording
 from armperturb.convert.template import write_sidecar
 from armperturb.recording import REQUIRED_SIGNALS
@@ -251,6 +251,15 @@ def test_a_rate_that_is_given_closes_the_only_open_field(tmp_path):
 
 
 @pytest.mark.slow(reason="converts several files")
+def test_columns_of_one_name_are_refused_and_those_of_none_ignored(tmp_path):
+    table = tmp_path / "t.csv"
+    table.write_text("time,Fx,Fx,x,y\n0,1,2,3,4\n0.01,2,3,4,5\n0.02,2,3,4,5\n")
+    with pytest.raises(ValueError, match=r"column 'Fx' comes 2 times; expected once \(rename one\)"):
+        columns_of(table, dialect_of(table))
+    table.write_text("time,Fx,Fy,x,y,\n0,1,2,3,4,\n0.01,2,3,4,5,\n0.02,2,3,4,5,\n")
+    assert [column.name for column in columns_of(table, dialect_of(table))] == ["time", "Fx", "Fy", "x", "y"]
+
+
 def test_a_file_that_no_guess_explains_says_so(tmp_path):
     values = table()
     values[:, 4] = values[::-1, 4]

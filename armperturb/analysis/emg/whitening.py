@@ -105,7 +105,8 @@ class Whitening:
         white = np.empty(n, dtype=np.float32)
         for start in range(0, n, self.n_part):
             out = white[start : start + self.n_part]
-            spectrum = fft.rfft(extended[start : start + len(out) + 2 * edge], self.n_padded)
+            part = extended[start : start + len(out) + 2 * edge]
+            spectrum = fft.rfft(_from_end_to_end(part), self.n_padded)  # nothing jumps where zeros follow
             spectrum *= self.response[column]
             if self.undone is not None:
                 spectrum *= self.undone
@@ -152,11 +153,10 @@ class Spectra:
         is_below = is_slow & (frequency > DRIFT)
         total = np.zeros((volts.shape[2], len(frequency)), dtype=np.float32)
         for trial, values in enumerate(volts):
-            means = values.mean(axis=0, dtype=float).astype(np.float32)
-            for column, mean in enumerate(means):  # one after the other, for the sake of memory
+            for column in range(values.shape[1]):  # one after the other, for the sake of memory
                 density = np.zeros(len(frequency), dtype=np.float32)
                 for part in values[: len(values) // n_parts * n_parts, column].reshape(n_parts, -1):
-                    transformed = fft.rfft(faded * (part - mean), n_padded)
+                    transformed = fft.rfft(faded * _from_end_to_end(part), n_padded)
                     density += transformed.real**2 + transformed.imag**2
                 density /= n_parts
                 # Relative to the trial, as hum that strong contractions hide counts where the muscle is quiet.
@@ -371,6 +371,11 @@ def whitening(
         hum=spectra.hum,
         rate=rate,
     )
+
+
+def _from_end_to_end(volts: NDArray[np.float32]) -> NDArray[np.float32]:
+    """A signal (time,) less the line from its first to its last value."""
+    return volts - np.linspace(volts[0], volts[-1], len(volts), dtype=np.float32)
 
 
 def _without_line(volts: NDArray[np.float32], line: float, rate: float) -> NDArray[np.float32]:

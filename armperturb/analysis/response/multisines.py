@@ -38,7 +38,7 @@ from armperturb.analysis.response.local_polynomial import (
     frequency_response,
     n_unknowns,
 )
-from armperturb.analysis.response.spectra import EXCITED_LINE
+from armperturb.analysis.response.spectra import excited_lines
 from armperturb.analysis.trials import SeveralTrials, TrialRecord, prepared_recordings, records_of
 from armperturb.arrays import Array, ComplexArray
 from armperturb.validation import require_number
@@ -252,7 +252,7 @@ def _mean_periods(records: Sequence[TrialRecord], n: int) -> tuple[tuple[Periods
     trials = tuple(_mean_period(record, n) for record in records)
     power = np.sum([np.abs(trial.perturbation) ** 2 for trial in trials], axis=(0, 2))
     power[[0, -1]] = 0.0
-    return trials, np.flatnonzero(power > EXCITED_LINE * power.max())
+    return trials, excited_lines(power)
 
 
 def _closest(excited: NDArray[np.int64]) -> int:

@@ -34,8 +34,10 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-EXCITED_LINE = 1e-4
-"""Share of the strongest line's power from which on a line counts as excited."""
+EXCITED_LINE, BESIDE_OTHERS, PER_OCTAVE = 1e-4, 1e-2, 3
+"""Share of the strongest line's power from which on a line counts as excited, the same of the strongest nearby, and
+bands per octave, of which one and those beside it are near [-]: what a fade, clocks or instruments leave between the
+lines of a multisine is none of its lines."""
 
 WIDEST_AVERAGE, ENOUGH = 0.4, 4
 """Distance of lines up to which they are averaged [Hz], and averages per point below which those farther apart are [-]:
@@ -202,7 +204,7 @@ def line_spectra(
         raise ValueError(
             f"the perturbation is zero from {window_start:g} s on; expected a disturbance with a period of {period:g} s"
         )
-    line = np.flatnonzero(power > EXCITED_LINE * power.max())
+    line = excited_lines(power)
     return LineSpectra(
         line=line, frequency=line / period, perturbation=d[:, line], force=f[:, line], displacement=x[:, line]
     )
@@ -239,9 +241,9 @@ def estimate_spectra(lines: LineSpectra, *, lines_per_average: int = LINES_PER_A
     """Estimate admittances and coherence.
 
     Spectra (not gains) are averaged over `lines_per_average` adjacent lines (fewer where the run of lines is shorter, a
-    few more at its end where it leaves a rest) and over all trials. Lines are adjacent that are as close as the closest two: of a
-    multisine of odd lines, every second one. Unless more than `LINES_PER_AVERAGE` are asked for, those that are farther
-    apart than `WIDEST_AVERAGE` are averaged over trials alone, if these are enough.
+    few more at its end where it leaves a rest) and over all trials. Lines are adjacent that are as close as the closest
+    two: of a multisine of odd lines, every second one. Unless more than `LINES_PER_AVERAGE` are asked for, those that
+    are farther apart than `WIDEST_AVERAGE` are averaged over trials alone, if these are enough.
 
     Args:
       lines: Fourier coefficients of trials of one subject in one condition.
@@ -292,6 +294,20 @@ def estimate_spectra(lines: LineSpectra, *, lines_per_average: int = LINES_PER_A
         coherence=np.clip(explained / phi_xx, 0.0, 1.0),
         n_averages=n_averages,
     )
+
+
+def excited_lines(power: Array) -> NDArray[np.int64]:
+    """Numbers of the lines that a periodic disturbance excites.
+
+    Args:
+      power: of its lines, from that of the mean on, which is zero, (line,).
+    """
+    # The lowest lines are near each other, too.
+    band = (PER_OCTAVE * np.log2(np.arange(len(power)) + PER_OCTAVE)).astype(int)
+    strongest = np.zeros(band[-1] + 3)
+    np.maximum.at(strongest, band + 1, power)
+    nearby = np.maximum.reduce([strongest[band], strongest[band + 1], strongest[band + 2]])
+    return np.flatnonzero(power > np.maximum(EXCITED_LINE * power.max(), BESIDE_OTHERS * nearby))
 
 
 def _spectrum(values: Array, n_period: int) -> ComplexArray:

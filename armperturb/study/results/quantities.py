@@ -39,7 +39,8 @@ from armperturb.analysis.defaults import SETTLED, SETTLING, WINDOW_START
 from armperturb.analysis.measures import kinematics
 from armperturb.analysis.measures.pulse import peak_norm, pulse_span
 from armperturb.analysis.numerics.periodicity import find_period
-from armperturb.analysis.start import first_push
+from armperturb.analysis.periods import settled_start
+from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
 from armperturb.copied_trials import without_copies
 from armperturb.perturbations.multisine import PERIOD
@@ -295,14 +296,14 @@ def multisine_window(
     """
     rate, ends = float(recording.attrs["rate"]), onset_samples(recording)
     before = [d[:end] for d, end in zip(recording["perturbation"].values, ends, strict=True)]
-    begin = first_push([d for d in before if d.any()]) / rate
+    trials = [ConditionTrials.prepare(recording, is_checked=True)]
     if period is None:
-        first = round(min(window_start, begin + SETTLED) * rate)
+        first = round(min(window_start, settled_start(trials, SETTLED)) * rate)
         try:
             period = find_period([d[first:] for d in before if len(d) > first + 1 and d[first:].any()], rate)
         except ValueError:
             period = PERIOD
-    earlier = (begin + SETTLING, begin + SETTLED) if may_be_earlier else ()
+    earlier = [settled_start(trials, each) for each in (SETTLING, SETTLED)] if may_be_earlier else []
     for start in (window_start, *(each for each in earlier if each < window_start)):
         first = round(start * rate)
         if (n_periods := int((ends.min() - first + 0.5) // (period * rate))) >= 1:

@@ -206,6 +206,49 @@ def test_hum_changes_no_amplitude():
     np.testing.assert_allclose(humming, quiet, rtol=0.02)
 
 
+@pytest.mark.parametrize("kind", ["offset", "sine", "line", "wander"])
+def test_drifts_and_offsets_change_no_amplitude_and_are_no_artefacts(kind):
+    """They are as large as a maximal contraction, and have nothing to do with it within the band."""
+    level = np.array([1.0, 0.1, 0.1, 0.0])[:, None, None]
+    volts = level * noise((4, 2, N)) + 4e-3 * np.random.default_rng(1).standard_normal((4, 2, N))
+    drift = {
+        "offset": np.random.default_rng(2).normal(0.0, 20.0, (4, 2, 1)),
+        "sine": 2.0 * np.sin(2 * np.pi * 0.05 * TIME + 0.3),
+        "line": 2.0 * TIME / TIME[-1],
+        "wander": signal.sosfiltfilt(
+            signal.butter(4, 0.5, fs=EMG_RATE, output="sos"), np.random.default_rng(3).normal(0.0, 10.0, (4, 2, N))
+        ),
+    }[kind]
+    conditions = ["MVC", "PT", "PT", "REST"]
+    clean, drifting = (envelopes(recorded(each, conditions)) for each in (volts, volts + drift))
+    known, found = (each.to_frame().set_index("condition")["amplitude"] for each in (clean, drifting))
+    np.testing.assert_allclose(found.loc["PT"], known.loc["PT"], rtol=0.02)
+    assert (found.loc["REST"] < 0.01).all()
+    assert not drifting.faults
+    assert not drifting.crosstalk
+
+
+def test_hum_leaves_nothing_at_the_ends_of_trials():
+    hum = np.sin(2 * np.pi * 50.0 * TIME) + 0.3 * np.sin(2 * np.pi * 150.0 * TIME + 1.0)
+    quiet = 4e-3 * np.random.default_rng(1).standard_normal((2, 2, N))
+    volts = np.array([1.0, 0.0])[:, None, None] * noise((2, 2, N)) + quiet
+    clean, humming = (envelopes(recorded(each, ["MVC", "RT"])) for each in (volts, volts + 0.2 * hum))
+    assert not humming.crosstalk
+    ends = np.r_[: round(RATE), -round(RATE) : 0]
+    np.testing.assert_allclose(humming.power[1, ends].mean(axis=0), clean.power[1, ends].mean(axis=0), rtol=0.2)
+
+
+def test_an_artefact_is_no_maximal_contraction():
+    active = (TIME > 1.0) & (TIME < 5.0)
+    volts = np.stack([np.where(active, 1.0, 0.02), np.full(N, 0.1)])[:, None] * noise((2, 2, N))
+    known = envelopes(recorded(volts, ["MVC", "PT"])).to_frame().set_index("condition").loc["PT", "amplitude"]
+    for length, size in ((100, 20.0), (1, 50.0)):  # a step of a cable, and a spike
+        spoiled = volts.copy()
+        spoiled[0, :, 16_000 : 16_000 + length] += size
+        found = envelopes(recorded(spoiled, ["MVC", "PT"])).to_frame().set_index("condition").loc["PT", "amplitude"]
+        np.testing.assert_allclose(found, known, rtol=0.03)
+
+
 def test_hum_that_contractions_hide_is_cut_out_of_what_is_relaxed():
     volts = np.array([1.0, 0.0, 0.0, 0.0])[:, None, None] * noise((4, 2, N))
     volts += 5e-3 * np.random.default_rng(1).standard_normal(volts.shape) + 5e-3 * np.sin(2 * np.pi * 50.0 * TIME)

@@ -322,6 +322,9 @@ def test_pulses_of_the_true_person_are_predicted_and_those_of_a_linear_arm_are_n
     assert max(linear.vaf, skeletal.vaf) < 95.0
     assert not np.allclose(linear.predicted, skeletal.predicted, rtol=0.01)
     assert predict_pulses(recorded.before(600), PERSON) == []  # the window is not recorded
+    for end, n_predicted in ((650, 1), (649, 0)):  # 1 s, and 0.5 s that fits leave out at the end of a record
+        cut = made.trial_set(recorded.recording.isel(time=slice(end)))
+        assert len(predict_pulses(cut, PERSON)) == n_predicted
     shorter = replace(skeletal, **{each: getattr(skeletal, each)[:-9] for each in ("time", "recorded", "predicted")})
     models = {"nonlinear": (itself, itself), "skeletal": (skeletal, shorter)}
     nothing = SimpleNamespace(to_xarray=xr.Dataset)

@@ -1,5 +1,6 @@
 """Frequency responses from any excitation, against loads whose mass, damping and stiffness are known."""
 
+import re
 from functools import cache, partial
 
 import numpy as np
@@ -8,12 +9,15 @@ from scipy import signal
 
 from armperturb.analysis.force_balance import NoiseLevels
 from armperturb.analysis.numerics.periodicity import find_period
+from armperturb.analysis.periods import common_period
 from armperturb.analysis.response.closed_loop import estimate_noise
+from armperturb.analysis.response.condition_spectra import condition_spectra, whole_periods_start
 from armperturb.analysis.response.estimate import response
 from armperturb.analysis.response.frequency_response import FrequencyResponse
 from armperturb.analysis.response.line_balance import LineBalance
 from armperturb.analysis.response.local_polynomial import Window, fit_locally, with_differences
 from armperturb.analysis.response.multisines import estimate_multisine
+from armperturb.analysis.trials import ConditionTrials
 from armperturb.environment import Environment
 from armperturb.recording import make_recording
 
@@ -217,6 +221,49 @@ def test_the_period_and_the_lines_are_found_in_the_recording(excited):
     stated, found = (estimate_multisine(recording, period=period) for period in (PERIOD, None))
     np.testing.assert_array_equal(found.response, stated.response)
     np.testing.assert_allclose(found.frequency * PERIOD, CLUSTERS.reshape(-1, 4).mean(axis=1))
+
+
+def rested(rng, rest, *, fade=0.0, lines=CLUSTERS):
+    """A recording of four trials of 30 s that begin with a rest [s], and whose multisine may fade out at the end."""
+    d = multisine(rng, 4, 30.0, lines)
+    d[:, : round(rest * RATE)] = 0.0
+    n = round(fade * RATE)
+    d[:, 6000 - n :] *= np.linspace(1.0, 0.0, n)[:, None]
+    return recorded(d, rng)
+
+
+def test_a_perturbation_may_begin_after_a_rest():
+    recording = rested(np.random.default_rng(14), 3.5)
+    found = estimate_multisine(recording)
+    (remark,) = found.remarks
+    assert re.fullmatch(r"nothing perturbs all trials before 3\.5\d? s: they are used from 5\.5\d? s on", remark)
+    np.testing.assert_allclose(found.frequency * PERIOD, CLUSTERS.reshape(-1, 4).mean(axis=1))
+    assert worst(found, "arm") < 0.02
+    for options in ({"period": PERIOD}, {"window_start": 6.0}):
+        assert worst(estimate_multisine(recording, **options), "arm") < 0.02
+    assert estimate_multisine(recording, window_start=6.0).remarks == ()
+
+
+def test_a_perturbation_may_fade_out():
+    for fade in (0.0, 0.3):
+        recording = rested(np.random.default_rng(15), 0.0, fade=fade)
+        assert common_period([ConditionTrials.prepare(recording)], 2.0) == PERIOD
+        assert worst(estimate_multisine(recording), "arm") < 0.02
+        assert worst(estimate_multisine(recording, period=PERIOD), "arm") < 0.02
+
+
+def test_short_trials_have_the_lines_of_their_short_period():
+    """From 8 s on there is no whole period; whole records would have points between the lines, by leakage alone."""
+    rng, period = np.random.default_rng(16), 2.0
+    d = np.stack(realisations(period, 7.0, RATE, n_trials=4))
+    trials = ConditionTrials.prepare(recorded(d, rng))
+    assert whole_periods_start([trials]) == 4.0
+    spectra = condition_spectra([trials])
+    np.testing.assert_allclose(spectra.frequency, np.arange(1, 24) / period)  # far apart: each is a point
+    np.testing.assert_array_equal(spectra.n_averages, 4)
+    assert np.abs(spectra.arm / TRUE["arm"](spectra.frequency) - 1.0).max() < 0.1
+    assert whole_periods_start([ConditionTrials.prepare(recorded(d[:, :900], rng))]) == 2.0
+    assert whole_periods_start([ConditionTrials.prepare(recorded(noise(rng, 2, 7.0), rng))]) is None
 
 
 @pytest.mark.slow(reason="repeats estimates on drawn records")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from armperturb.analysis.response.spectra import LineSpectra, estimate_spectra, line_spectra
+from armperturb.analysis.response.spectra import LineSpectra, estimate_spectra, excited_lines, line_spectra
 from armperturb.recording import make_recording
 
 RATE, PERIOD, START = 200.0, 5.12, 2.0
@@ -212,3 +212,58 @@ def test_every_second_line_is_adjacent_to_the_next():
         assert estimate_spectra(odd, lines_per_average=n).total == pytest.approx(
             estimate_spectra(every, lines_per_average=n).total
         )
+
+
+def test_what_is_faint_beside_other_lines_is_no_line():
+    power = np.full(400, 1e-3)  # what a fade leaves
+    lines = np.array([3, 5, 8, 13, 21, 34, 55, 89, 144, 233])
+    power[lines] = np.where(lines < 50, 1.0, 0.15)
+    power[0] = 0.0
+    found = excited_lines(power)
+    np.testing.assert_array_equal(found[found < 300], lines)  # beyond, nothing else is near
+    falling = 1.0 / np.maximum(np.arange(400.0), 1.0) ** 2
+    falling[0] = 0.0
+    np.testing.assert_array_equal(excited_lines(falling), np.arange(1, 100))  # a hundredth of the amplitude
+
+
+def test_lines_that_are_far_apart_are_averaged_over_trials_alone():
+    generator = np.random.default_rng(0)
+    for n_trials, n_lines in ((1, 4), (2, 2), (4, 1), (6, 1)):
+        signals = {
+            name: generator.standard_normal((n_trials, 12, 4)).view(complex)
+            for name in ("perturbation", "force", "displacement")
+        }
+        lines = LineSpectra(line=np.arange(1, 13), frequency=0.5 * np.arange(1, 13), **signals)
+        assert (estimate_spectra(lines).n_averages == n_trials * n_lines).all()
+        assert (estimate_spectra(lines, lines_per_average=6).n_averages == n_trials * 6).all()
+
+
+def test_a_rest_of_lines_moves_no_point_at_low_frequencies():
+    generator = np.random.default_rng(0)
+    signals = {
+        name: generator.standard_normal((2, 15, 4)).view(complex) for name in ("perturbation", "force", "displacement")
+    }
+    points = [
+        estimate_spectra(
+            LineSpectra(
+                line=np.arange(1, n + 1),
+                frequency=0.1 * np.arange(1, n + 1),
+                **{name: each[:, :n] for name, each in signals.items()},
+            )
+        ).frequency
+        for n in (12, 13, 14)
+    ]
+    for each in points:
+        np.testing.assert_allclose(each[0], 0.25)
+        assert len(each) == 3
+
+
+def test_estimates_are_interpolated_along_the_logarithm():
+    recording, *_ = synthetic(4)
+    spectra = estimate(recording)
+    same = spectra.interpolated(spectra.frequency)
+    np.testing.assert_allclose(same.arm, spectra.arm)
+    np.testing.assert_array_equal(same.n_averages, spectra.n_averages)
+    between = spectra.interpolated(np.sqrt(spectra.frequency[1:] * spectra.frequency[:-1]))
+    np.testing.assert_allclose(np.abs(between.arm), np.sqrt(np.abs(spectra.arm[1:] * spectra.arm[:-1])))
+    np.testing.assert_allclose(between.coherence, (spectra.coherence[1:] + spectra.coherence[:-1]) / 2.0)

@@ -8,9 +8,11 @@ import pytest
 from invented import people_of, renamed, study_of
 from scipy import stats
 
+from armperturb.analysis.fit.identification import Identification
 from armperturb.analysis.measures.statistics import adjacent_effects, effect_of_condition
+from armperturb.analysis.response.spectra import SpectralEstimate
 from armperturb.study.comparison.effects import admittance_effect, compared_pulses, effects
-from armperturb.study.results.mean_admittance import mean_admittance
+from armperturb.study.results.mean_admittance import at_usual_frequencies, mean_admittance
 
 NAMES = ("S01", "S02", "S03", "S04", "S05")
 
@@ -137,6 +139,31 @@ def test_an_effect_on_the_gain_counts_over_four_points(people):
     assert found.counts[5:9].all()
     lonely = (found.p < 0.05) & ~found.counts
     assert lonely.any()
+
+
+def test_admittances_at_frequencies_nearby_are_interpolated(people):
+    frequency = np.geomspace(0.3, 20.0, 60)
+    case = study_of(people).of("PT2.5")[0]
+
+    def at(grid):
+        arm = (np.exp(1j * grid) / grid)[:, None, None] * np.ones((2, 2))
+        spectra = SpectralEstimate(
+            frequency=grid,
+            arm=arm,
+            environment=arm,
+            total=arm,
+            coherence=np.ones((len(grid), 2)),
+            n_averages=np.full(len(grid), 4),
+        )
+        identification = Identification(n_trials=1, spectra=spectra, environment=None, fit=None, vaf=np.ones(2))
+        return replace(case, identification=identification)
+
+    made = [at(grid) for grid in (frequency, frequency, 1.02 * frequency[:-1], 1.3 * frequency)]
+    *alike, moved = at_usual_frequencies(made)
+    assert alike == made[:2]  # and whoever is far off is left out
+    found, expected = moved.identified.spectra, made[0].identified.spectra
+    np.testing.assert_array_equal(found.frequency, frequency)
+    np.testing.assert_allclose(found.arm[1:-2], expected.arm[1:-2], rtol=0.01)
 
 
 @pytest.mark.slow(reason="analyses several studies")

@@ -10,7 +10,14 @@ from armperturb.analysis.measures.kinematics import hand_position
 from armperturb.recording import make_recording
 from armperturb.recording_files import load_recording
 from armperturb.study.published import tables as published
-from armperturb.study.results.quantities import Cell, level_name, measure, measured_cells, published_cells
+from armperturb.study.results.quantities import (
+    Cell,
+    level_name,
+    measure,
+    measured_cells,
+    multisine_window,
+    published_cells,
+)
 
 RATE = 200.0
 L_H, L_F, START = 0.31, 0.36, np.radians([22.5, 82.3])
@@ -262,3 +269,30 @@ def test_simulated_people_fill_the_cells_that_their_protocol_has(study):
     assert cells[Cell("2.1", "PT7.5", "rms_displacement")] == pytest.approx(case.displacement)
     plain = recording[["perturbation", "force", "displacement"]]
     assert measured_cells(plain) == cells
+
+
+def test_what_is_left_of_a_filter_before_a_pulse_is_no_multisine():
+    push = np.zeros((len(TIME), 2))
+    push[(TIME >= ONSET) & (TIME < ONSET + 0.08)] = 50.0
+    ripple = 1e-3 * np.sin(2 * np.pi * 90.0 * TIME)[:, None]
+    tables = []
+    for force in (push, push + ripple, push + 2000.0 * ripple):
+        load, path, labels = rotating("tap", bump([0.1, 0.1]), force=force, onset=9.0)
+        early = slice(round((ONSET - 9.0) * RATE), None)
+        found = measure(recorded((load[early], path[early], {**labels, "task": "PT"})))
+        assert not found.left_out
+        tables.append({(cell.table, cell.quantity) for cell in found.cells})
+    assert tables[0] == tables[1] < tables[2]
+
+
+def test_a_multisine_of_a_short_period_is_measured_where_there_is_one():
+    time = np.arange(round(7.0 * RATE)) / RATE
+    force = np.stack([np.sin(2 * np.pi * 2.5 * time), np.cos(2 * np.pi * 2.5 * time)], axis=1)
+    force += np.sin(2 * np.pi * 1.5 * time)[:, None]  # together, a period of 2 s
+    path = 1e-3 * force
+    _, _, labels = rotating("PT own", np.zeros((len(time), 2)), onset=math.nan)
+    trial = recorded((force, path, labels))
+    assert multisine_window(trial).start == 8 * RATE
+    assert multisine_window(trial, may_be_earlier=True) == slice(round(4 * RATE), round(6 * RATE))
+    brief = trial.isel(time=slice(round(3.0 * RATE)))
+    assert multisine_window(brief, may_be_earlier=True) == slice(0, round(3.0 * RATE))

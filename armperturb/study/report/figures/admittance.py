@@ -204,9 +204,7 @@ def coherence(study: StudyResult) -> Figure:
         for output, ax in enumerate(panels[:, 0]):
             ax.set_ylabel(rf"$\gamma^2_{{{AXES[output]}d}}$ [-]")
         if number == 0:
-            panels[0, 0].text(
-                0.02, 0.04, "dotted: noise", color=GREY, fontsize=8, transform=panels[0, 0].transAxes
-            )
+            panels[0, 0].text(0.02, 0.04, "dotted: noise", color=GREY, fontsize=8, transform=panels[0, 0].transAxes)
     return figure
 
 
