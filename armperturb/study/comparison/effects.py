@@ -211,7 +211,7 @@ def effects(study: StudyResult) -> Effects:
     def pulses(quantity: str, what: str, of: Sequence[tuple[str, str]]) -> dict[str, list[float]]:
         values = {}
         for person in study.people:
-            values[person.name], lost = _pulse_values(person, quantity, of)
+            values[person.name], lost = pulse_values(person, quantity, of)
             if lost:
                 tests.remarks.append(
                     f"{what}: {person.name} without pulses at {', '.join(f'{each}°' for each in lost)}, which have no "
@@ -255,9 +255,7 @@ def effects(study: StudyResult) -> Effects:
     )
 
 
-def _pulse_values(
-    person: PersonMeasures, quantity: str, of: Sequence[tuple[str, str]]
-) -> tuple[list[float], list[str]]:
+def pulse_values(person: PersonMeasures, quantity: str, of: Sequence[tuple[str, str]]) -> tuple[list[float], list[str]]:
     """A person's means in some pulses, and the directions [deg] that these leave out.
 
     Peaks differ between directions: all means are over those in which each of the pulses tells something.

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from armperturb.plots.panels import legend
 from armperturb.plots.style import COLOURS, PUBLISHED, in_style
+from armperturb.study.comparison.effects import pulse_values
 from armperturb.study.published import tables as published
 from armperturb.study.published.tables import MeanSD
 from armperturb.study.report.figures import groups as groups_of_people
@@ -45,7 +46,7 @@ def pulse_admittance(study: StudyResult, p: Mapping[str, float] | None = None) -
     """Peak displacement over peak hand reaction force: people's means over trials, and their means (thesis fig. 3.16).
 
     Above conditions with several levels stands the ratio of the means of the largest and the smallest over the people
-    who have both, and what the thesis has, if these are its levels.
+    who have both in a direction, over such directions, and what the thesis has, if these are its levels.
 
     Args:
       study: with trials that have pulses.
@@ -58,10 +59,12 @@ def pulse_admittance(study: StudyResult, p: Mapping[str, float] | None = None) -
             ax.set_ylim(top=1.2 * max(tops.values()))
             ax.set_xlim(left=-0.75)  # room for the words above the first
         for group, (condition, levels) in enumerate(by_task[task].items()):
-            ends = (levels[min(levels)], levels[max(levels)])
-            if len(levels) < 2 or not (both := ends[0].keys() & ends[1].keys()):
+            ends = [(condition, level_name(condition, end)) for end in (min(levels), max(levels))]
+            of_people = np.array([pulse_values(person, "admittance", ends)[0] for person in study.people])
+            both = of_people[np.isfinite(of_people).all(axis=1)]
+            if len(levels) < 2 or not len(both):
                 continue
-            smallest, largest = (np.mean([values[name] for name in both]) for values in ends)
+            smallest, largest = both.mean(axis=0)
             stars = groups_of_people.stars((p or {}).get(condition, 1.0))
             place: dict[str, Any] = {
                 "xy": (group, tops[condition]),
