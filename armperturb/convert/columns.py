@@ -1,6 +1,7 @@
 """The columns of a file, under the names that a sidecar gives them, with what their names say."""
 
 import re
+import warnings
 from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
@@ -127,16 +128,20 @@ def columns_of(path: Path, dialect: Dialect) -> list[Column]:
       dialect: of a text file.
 
     Raises:
-      ValueError: the file is damaged, too large, or holds no columns, or several of one name.
+      ValueError: the file is damaged, too large, or holds no columns.
       ModuleNotFoundError: C3D is to be read, and ezc3d is not installed.
       OSError: it cannot be read.
     """
     if path.suffix.lower() in TEXT:
         start = dialect.skip_lines
         header, *below = _rows(_first_lines(path, start + 2)[start:], dialect) or [[]]
-        for name in filter(None, header):
-            if (times := header.count(name)) > 1:
-                raise ValueError(f"{path}: column {name!r} comes {times} times; expected once (rename one)")
+        several = [name for name in dict.fromkeys(header) if name and header.count(name) > 1]
+        if several:
+            warnings.warn(
+                f"{path}: columns {', '.join(map(repr, several))} come several times and are not used; expected once "
+                "(rename all but one)",
+                stacklevel=2,
+            )
         units = below[0] if below and is_row_of_text(below[0], dialect.decimal) else []
         try:
             table = pd.read_csv(
@@ -150,7 +155,8 @@ def columns_of(path: Path, dialect: Dialect) -> list[Column]:
             )
         except (ValueError, OverflowError) as error:
             raise ValueError(f"{path}: no readable table ({' '.join(str(error).split())}); expected columns") from None
-        named = [name for at, name in enumerate(table) if at >= len(header) or header[at]]
+        unused = {"", *several}
+        named = [name for at, name in enumerate(table) if at >= len(header) or header[at] not in unused]
         columns = [Column(str(name).strip(), str(name).strip(), table[name].to_numpy()) for name in named]
         for at, unit in enumerate(units[: len(columns)]):
             if not columns[at].words()[1]:

@@ -251,11 +251,13 @@ def test_a_rate_that_is_given_closes_the_only_open_field(tmp_path):
 
 
 @pytest.mark.slow(reason="converts several files")
-def test_columns_of_one_name_are_refused_and_those_of_none_ignored(tmp_path):
+def test_columns_of_one_name_and_those_of_none_are_not_used(tmp_path):
     table = tmp_path / "t.csv"
     table.write_text("time,Fx,Fx,x,y\n0,1,2,3,4\n0.01,2,3,4,5\n0.02,2,3,4,5\n")
-    with pytest.raises(ValueError, match=r"column 'Fx' comes 2 times; expected once \(rename one\)"):
-        columns_of(table, dialect_of(table))
+    with pytest.warns(
+        UserWarning, match=r"columns 'Fx' come several times and are not used; .* \(rename all but one\)"
+    ):
+        assert [column.name for column in columns_of(table, dialect_of(table))] == ["time", "x", "y"]
     table.write_text("time,Fx,Fy,x,y,\n0,1,2,3,4,\n0.01,2,3,4,5,\n0.02,2,3,4,5,\n")
     assert [column.name for column in columns_of(table, dialect_of(table))] == ["time", "Fx", "Fy", "x", "y"]
 

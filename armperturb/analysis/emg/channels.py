@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from armperturb.analysis.plateaus import runs
 from armperturb.arrays import Array
@@ -25,6 +26,10 @@ MOST_SPIKES = 5
 
 MOVED = 10.0
 """Power below the band over that in it from which on a trial has a movement artefact [-]."""
+
+JUMP, ABOUT, JUMPED = 0.01, 100, 0.4
+"""Time over which a channel is averaged [s], how many such times are about a change, and the share of the squares of
+changes there from which on one is a jump [-]: a step has half of them, EMG a twentieth."""
 
 HUM_WIDTH, HUM = 4.0, 3e-7
 """Half width of the neighbourhood of a mains line [Hz], and the chance with which the periodogram of noise has as much
@@ -100,14 +105,21 @@ class Crosstalk(NamedTuple):
 
 
 def faults_of_channel(
-    volts: NDArray[np.float32], white: NDArray[np.float32], low_power: float, rate: float, trial: int, name: str
+    volts: NDArray[np.float32],
+    white: NDArray[np.float32],
+    low_power: float,
+    drift_power: float,
+    rate: float,
+    trial: int,
+    name: str,
 ) -> list[ChannelFault]:
     """What is wrong with a channel of a trial.
 
     Args:
       volts: as recorded [V], (time,). Three samples in a row at the largest or least value are clipped.
       white: within the band, whitened, (time,).
-      low_power: power below the band over that in it.
+      low_power: power below the band, less that of drifts, over that in it.
+      drift_power: that of drifts, over the same: it is an artefact only where the signal jumps.
       rate: of the samples [Hz].
       trial: its number.
       name: of the muscle.
@@ -131,8 +143,10 @@ def faults_of_channel(
         add("clipped", at_limit[in_a_row[0]], at_limit[in_a_row[-1]] + 2)
     for at in [at for at in _peaks(white) if _stands_out(volts, at)][:MOST_SPIKES]:
         add("spike", at, at + 1)
-    if low_power > MOVED:
-        at = int(np.argmax(np.abs(volts - volts.mean())))
+    moved = [int(np.argmax(np.abs(volts - volts.mean())))] if low_power > MOVED else []
+    if not moved and low_power + drift_power > MOVED:
+        moved = _jumps(volts, rate)[:MOST_SPIKES]
+    for at in moved:
         add("movement artefact", max(at - rate / 2, 0), min(at + rate / 2, len(volts)))
     return faults
 
@@ -154,6 +168,18 @@ def _stands_out(volts: NDArray[np.float32], at: int) -> bool:
     """Whether a sample of a channel is off both that before and that after it, as no begin of a contraction is."""
     bend = np.diff(volts[max(at - SPIKE_WINDOW // 2, 0) : at + SPIKE_WINDOW // 2].astype(float), 2) ** 2
     return bool(bend.max() > SPIKE * bend.sum())
+
+
+def _jumps(volts: NDArray[np.float32], rate: float) -> list[int]:
+    """Samples about which a channel, (time,), changes by more within some milliseconds than in the second about it."""
+    n = max(round(JUMP * rate), 1)
+    means = volts[: len(volts) // n * n].reshape(-1, n).mean(axis=1, dtype=float)
+    changes = (means[2:] - means[:-2]) ** 2
+    if not len(changes):
+        return []
+    about = ndimage.uniform_filter1d(changes, min(ABOUT, len(changes)), mode="nearest") * min(ABOUT, len(changes))
+    is_largest = changes == ndimage.maximum_filter1d(changes, ABOUT)
+    return [int((at + 1.5) * n) for at in np.flatnonzero(is_largest & (changes > JUMPED * np.maximum(about, 1e-30)))]
 
 
 def _is_clipped(volts: NDArray[np.float32]) -> bool:

@@ -367,7 +367,8 @@ def envelopes(
             compared[column] = white[: compared.shape[1]]
             power[trial, :, column] = intervals.mean(white, np.square)
             rectified[trial, :, column] = MODULUS * intervals.mean(white, np.abs)
-            of_channel = faults_of_channel(channel, white, spectra.below[trial, column], rate, trial, name)
+            slow = spectra.below[trial, column], spectra.drift[trial, column]
+            of_channel = faults_of_channel(channel, white, *slow, rate, trial, name)
             for fault in of_channel:
                 if fault.kind == "dead":
                     dead = slice(int(fault.start * mechanical), int(np.ceil(fault.end * mechanical)) + 1)

@@ -11,9 +11,9 @@ from armperturb.arrays import Array
 MAXIMAL_WINDOW, PLATEAU = 1.0, 0.8
 """Time over which a maximal contraction is averaged [s], and power over its largest with which it counts [-]."""
 
-BURST = 10.0
-"""Power over its median within such a time from which on it is an artefact [-]: of a contraction, that of a few
-milliseconds is hardly ever so large."""
+BURST, BRIEF, STEP = 10.0, 0.25, 0.02
+"""Power over its median within a brief time from which on it is an artefact [-], that time [s], and time over which
+power is averaged before [s]: no contraction is as short."""
 
 
 def mean_known(power: Array) -> Array:
@@ -42,7 +42,7 @@ def reference_power(power: Array, labels: pd.DataFrame, maximal: str, rate: floa
         of_maximal = power[is_maximal]
         is_dead = np.isnan(of_maximal)
         known = np.where(is_dead, 0.0, of_maximal)
-        known = np.minimum(known, BURST * ndimage.median_filter(known, (1, window, 1), mode="nearest"))
+        known = _without_bursts(known, rate)
         summed, dead = (np.cumsum(each, axis=1) for each in (known, is_dead))
         if summed.shape[1] > window:
             means, lost = (each[:, window:] - each[:, :-window] for each in (summed, dead))
@@ -56,3 +56,16 @@ def reference_power(power: Array, labels: pd.DataFrame, maximal: str, rate: floa
     shares = by_condition / by_condition.max().clip(lower=np.finfo(float).tiny)
     loudest = str(shares.mean(axis=1).idxmax())
     return loudest, by_condition.loc[loudest].fillna(0.0).to_numpy(dtype=float)
+
+
+def _without_bursts(power: Array, rate: float) -> Array:
+    """Power (trial, time, muscle) in which no brief artefact is more than `BURST` times what is about it."""
+    n_step = max(round(STEP * rate), 1)
+    n_steps = power.shape[1] // n_step
+    if n_steps < 2:
+        return power
+    steps = power[:, : n_steps * n_step].reshape(len(power), n_steps, n_step, -1).mean(axis=2)
+    largest = BURST * ndimage.median_filter(steps, (1, round(BRIEF / STEP), 1), mode="nearest")
+    left = np.minimum(steps, largest) / np.maximum(steps, np.finfo(float).tiny)
+    share = np.repeat(left, n_step, axis=1)
+    return power * np.pad(share, ((0, 0), (0, power.shape[1] - share.shape[1]), (0, 0)), mode="edge")

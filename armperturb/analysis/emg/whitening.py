@@ -122,12 +122,14 @@ class Spectra:
       frequency: centres of bins [Hz], (bin,).
       power: mean within each bin, without hum, (trial, muscle, bin); below the band that at its edge.
       below: power below the band, less that of drifts, over that in it, (trial, muscle).
+      drift: that of drifts over the same, (trial, muscle).
       hum: column to the frequencies of the mains in it [Hz].
     """
 
     frequency: Array
     power: Array
     below: Array
+    drift: Array
     hum: dict[int, list[float]]
 
     @classmethod
@@ -149,8 +151,8 @@ class Spectra:
         starts = np.unique(np.searchsorted(frequency, np.arange(0.0, rate / 2.0, RESOLUTION)))
         sizes = np.diff(np.append(starts, len(frequency)))
         power, hum = np.empty((len(volts), volts.shape[2], len(starts))), dict[int, list[float]]()
-        below, is_slow = np.empty(power.shape[:2]), frequency < 0.75 * low
-        is_below = is_slow & (frequency > DRIFT)
+        (below, drift), is_slow = np.empty((2, *power.shape[:2])), frequency < 0.75 * low
+        is_drift = frequency <= DRIFT
         total = np.zeros((volts.shape[2], len(frequency)), dtype=np.float32)
         for trial, values in enumerate(volts):
             for column in range(values.shape[1]):  # one after the other, for the sake of memory
@@ -162,7 +164,9 @@ class Spectra:
                 # Relative to the trial, as hum that strong contractions hide counts where the muscle is quiet.
                 total[column] += density / max(density.mean(), np.finfo(np.float32).tiny)
                 power[trial, column] = np.add.reduceat(density, starts) / sizes
-                below[trial, column] = density[is_below].sum() / max(density[~is_slow].sum(), 1e-30)
+                in_band = max(float(density[~is_slow].sum()), 1e-30)
+                drift[trial, column] = density[is_drift].sum() / in_band
+                below[trial, column] = density[is_slow & ~is_drift].sum() / in_band
         centre = np.add.reduceat(frequency, starts) / sizes
         for column, mean in enumerate(total / len(volts)):
             if lines := hum_lines(mean, frequency, mains):
@@ -171,7 +175,7 @@ class Spectra:
         # What is below the band, as a drift, says nothing of the muscle at the band's edge.
         n_below = int(np.searchsorted(centre, low))
         power[..., :n_below] = power[..., n_below : n_below + 1]
-        return cls(frequency=centre, power=power, below=below, hum=hum)
+        return cls(frequency=centre, power=power, below=below, drift=drift, hum=hum)
 
 
 def _bridge(power: Array, frequency: Array, lines: Sequence[float]) -> None:

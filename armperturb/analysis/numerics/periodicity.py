@@ -53,7 +53,8 @@ def find_period(perturbation: Sequence[Array], rate: float, start: float = 0.0) 
     refusal = (
         f"the perturbation does not repeat within the {longest:.4g} s from {start:g} s on; expected a periodic one "
         f"that is recorded for at least {1 + OVERLAP:g} periods (for noise and pulses there is --method noise; of a "
-        "shorter record state the period: --period)"
+        "shorter record state the period: --period; what comes before it repeats is left out by a later "
+        "--window-start)"
     )
     apart = np.flatnonzero(difference > DIFFERENT)
     if not len(apart):

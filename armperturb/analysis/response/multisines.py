@@ -250,7 +250,7 @@ def _independence(trials: Sequence[Periods], lines: NDArray[np.int64]) -> float:
 def _mean_periods(records: Sequence[TrialRecord], n: int) -> tuple[tuple[Periods, ...], NDArray[np.int64]]:
     """Mean periods of n samples, and the numbers of the excited lines."""
     trials = tuple(_mean_period(record, n) for record in records)
-    power = np.sum([np.abs(trial.perturbation) ** 2 for trial in trials], axis=(0, 2))
+    power = np.sum([np.abs(trial.perturbation) ** 2 for trial in trials], axis=0)
     power[[0, -1]] = 0.0
     return trials, excited_lines(power)
 

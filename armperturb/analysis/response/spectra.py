@@ -12,7 +12,7 @@ sign with its opposite, and loses transposes (A.12).
 """
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-EXCITED_LINE, BESIDE_OTHERS, PER_OCTAVE = 1e-4, 1e-2, 3
+EXCITED_LINE, BESIDE_OTHERS, PER_OCTAVE = 1e-4, 3e-3, 3
 """Share of the strongest line's power from which on a line counts as excited, the same of the strongest nearby, and
 bands per octave, of which one and those beside it are near [-]: what a fade, clocks or instruments leave between the
 lines of a multisine is none of its lines."""
@@ -42,6 +42,9 @@ lines of a multisine is none of its lines."""
 WIDEST_AVERAGE, ENOUGH = 0.4, 4
 """Distance of lines up to which they are averaged [Hz], and averages per point below which those farther apart are [-]:
 an arm's response bends over more, and with two averages its coherence is one by construction."""
+
+TWO_DIRECTIONS = 0.1
+"""Independence of what pushes along x and y from which on lines may be averaged over trials alone [-]."""
 
 LEAST_POWER = 1e-12
 """Share of the other axis's power below which a disturbance counts as none: rounding leaves less [-]."""
@@ -198,7 +201,7 @@ def line_spectra(
             raise ValueError(
                 f"{name} is constant from {window_start:g} s on; expected the response to the perturbation"
             )
-    power = np.sum(np.abs(d) ** 2, axis=(0, 2))
+    power = np.sum(np.abs(d) ** 2, axis=0)
     power[0] = 0.0
     if not power.any():
         raise ValueError(
@@ -262,8 +265,10 @@ def estimate_spectra(lines: LineSpectra, *, lines_per_average: int = LINES_PER_A
     # Lines that are far apart are averaged over trials alone, as far as these are enough averages.
     near, needed = int(WIDEST_AVERAGE / apart + 1e-6) + 1, -(-ENOUGH // len(d))
     size = lines_per_average if lines_per_average > LINES_PER_AVERAGE else min(lines_per_average, max(near, needed))
-    # A rest is spread over the highest groups: how far up lines are excited moves no point at low frequencies.
-    groups = [each[::-1] for run in runs for each in np.array_split(run[::-1], max(1, len(run) // size))[::-1]]
+    groups = _groups(runs, size)
+    # Trials of one realisation do not tell what x does from what y does, however many they are.
+    if size < lines_per_average and min(_independence(d[:, group]) for group in groups) < TWO_DIRECTIONS:
+        groups = _groups(runs, lines_per_average)
     n_averages = np.array([len(group) * len(d) for group in groups])
     frequency = np.array([lines.frequency[group].mean() for group in groups])
     if n_averages.min() < N_INPUTS:
@@ -296,18 +301,34 @@ def estimate_spectra(lines: LineSpectra, *, lines_per_average: int = LINES_PER_A
     )
 
 
+def _groups(runs: Sequence[NDArray[np.int64]], size: int) -> list[NDArray[np.int64]]:
+    """Places of adjacent lines, those of each average together.
+
+    A rest is spread over the highest groups: how far up lines are excited moves no point at low frequencies.
+    """
+    return [each[::-1] for run in runs for each in np.array_split(run[::-1], max(1, len(run) // size))[::-1]]
+
+
+def _independence(d: ComplexArray) -> float:
+    """One less the squared coherence of what pushes along x and along y, (trial, line, axis) [-]; 0 without either."""
+    phi = np.einsum("tki,tkj->ij", d.conj(), d)
+    power = float((phi[0, 0] * phi[1, 1]).real)
+    return float(np.linalg.det(phi).real) / power if power > 0.0 else 0.0
+
+
 def excited_lines(power: Array) -> NDArray[np.int64]:
-    """Numbers of the lines that a periodic disturbance excites.
+    """Numbers of the lines that a periodic disturbance excites along either axis.
 
     Args:
-      power: of its lines, from that of the mean on, which is zero, (line,).
+      power: of its lines, from that of the mean on, which is zero, (line, axis).
     """
     # The lowest lines are near each other, too.
     band = (PER_OCTAVE * np.log2(np.arange(len(power)) + PER_OCTAVE)).astype(int)
-    strongest = np.zeros(band[-1] + 3)
+    strongest = np.zeros((band[-1] + 3, power.shape[1]))
     np.maximum.at(strongest, band + 1, power)
     nearby = np.maximum.reduce([strongest[band], strongest[band + 1], strongest[band + 2]])
-    return np.flatnonzero(power > np.maximum(EXCITED_LINE * power.max(), BESIDE_OTHERS * nearby))
+    is_line = power.sum(axis=1) > EXCITED_LINE * power.sum(axis=1).max()
+    return np.flatnonzero(is_line & (power > BESIDE_OTHERS * nearby).any(axis=1))
 
 
 def _spectrum(values: Array, n_period: int) -> ComplexArray:

@@ -51,7 +51,7 @@ from armperturb.study.published.tables import MeanSD
 JOINT_LETTERS = ("s", "e")
 """Shoulder and elbow, in the order of a recording."""
 
-FAINT = 0.005
+FAINT = 0.002
 """SD of the force before a pulse over the range of a recording's perturbation [-], up to which it is noise of the
 instrument."""
 

@@ -238,6 +238,24 @@ def test_hum_leaves_nothing_at_the_ends_of_trials():
     np.testing.assert_allclose(humming.power[1, ends].mean(axis=0), clean.power[1, ends].mean(axis=0), rtol=0.2)
 
 
+@pytest.mark.parametrize("size", [5.0, 100.0])
+@pytest.mark.parametrize("lasts", [1e9, 0.3], ids=["step", "pop"])
+def test_a_jump_is_an_artefact_at_its_time(size, lasts):
+    volts = np.array([1.0, 0.2])[:, None, None] * noise((2, 2, N))
+    volts[1, 0] += np.where(TIME >= 6.0, size * np.exp(-(TIME - 6.0) / lasts), 0.0)
+    (fault,) = [each for each in envelopes(recorded(volts, ["MVC", "PT"])).faults if each.kind != "spike"]
+    assert (fault.kind, fault.trial, fault.muscle) == ("movement artefact", 1, "flexor")
+    assert fault.start == pytest.approx(5.5, abs=0.05)
+
+
+@pytest.mark.parametrize("lasts", [0.3, 0.45, 2.0])
+def test_a_brief_contraction_is_no_artefact(lasts):
+    active = np.clip(0.5 + (0.5 * lasts - np.abs(TIME % 2.5 - 1.25)) / 0.04, 0.01, 1.0)  # it rises in 40 ms
+    volts = np.stack([active, np.full(N, 0.2)])[:, None] * noise((2, 2, N))
+    found = envelopes(recorded(volts, ["MVC", "PT"])).to_frame().set_index("condition").loc["PT", "amplitude"]
+    np.testing.assert_allclose(found, 0.2 / np.sqrt(min(lasts, 1.0)), rtol=0.15)  # mean power of the largest second
+
+
 def test_an_artefact_is_no_maximal_contraction():
     active = (TIME > 1.0) & (TIME < 5.0)
     volts = np.stack([np.where(active, 1.0, 0.02), np.full(N, 0.1)])[:, None] * noise((2, 2, N))

@@ -215,15 +215,15 @@ def test_every_second_line_is_adjacent_to_the_next():
 
 
 def test_what_is_faint_beside_other_lines_is_no_line():
-    power = np.full(400, 1e-3)  # what a fade leaves
+    power = np.full((400, 2), [3e-4, 3e-6])  # what a fade leaves; y is driven with a tenth of the amplitude
     lines = np.array([3, 5, 8, 13, 21, 34, 55, 89, 144, 233])
-    power[lines] = np.where(lines < 50, 1.0, 0.15)
+    power[lines] = np.where(lines < 50, 1.0, 0.15)[:, None] * [1.0, 0.01]
     power[0] = 0.0
     found = excited_lines(power)
     np.testing.assert_array_equal(found[found < 300], lines)  # beyond, nothing else is near
     falling = 1.0 / np.maximum(np.arange(400.0), 1.0) ** 2
     falling[0] = 0.0
-    np.testing.assert_array_equal(excited_lines(falling), np.arange(1, 100))  # a hundredth of the amplitude
+    np.testing.assert_array_equal(excited_lines(falling[:, None]), np.arange(1, 100))  # a hundredth of the amplitude
 
 
 def test_lines_that_are_far_apart_are_averaged_over_trials_alone():
@@ -236,6 +236,22 @@ def test_lines_that_are_far_apart_are_averaged_over_trials_alone():
         lines = LineSpectra(line=np.arange(1, 13), frequency=0.5 * np.arange(1, 13), **signals)
         assert (estimate_spectra(lines).n_averages == n_trials * n_lines).all()
         assert (estimate_spectra(lines, lines_per_average=6).n_averages == n_trials * 6).all()
+
+
+def test_lines_of_one_axis_each_count_though_one_axis_is_weak():
+    power = np.zeros((200, 2))
+    power[1::2, 0], power[2::2, 1] = 1.0, 0.005
+    np.testing.assert_array_equal(excited_lines(power), np.arange(1, 200))
+
+
+def test_trials_of_one_realisation_are_averaged_over_lines_however_far_apart():
+    generator = np.random.default_rng(0)
+    signals = {
+        name: np.repeat(generator.standard_normal((1, 12, 4)).view(complex), 6, axis=0)
+        for name in ("perturbation", "force", "displacement")
+    }
+    lines = LineSpectra(line=np.arange(1, 13), frequency=0.5 * np.arange(1, 13), **signals)
+    assert (estimate_spectra(lines).n_averages == 24).all()
 
 
 def test_a_rest_of_lines_moves_no_point_at_low_frequencies():
