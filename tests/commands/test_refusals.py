@@ -74,7 +74,7 @@ def test_refusals_name_what_mends_them(name, folder, tmp_path, capsys):
 def test_noise_names_its_method(tmp_path, capsys):
     noise = replace(SETUP, kind="noise", n_trials=1, duration=12.0)
     line = refused(capsys, "response", write_csv(noise, *noise.record(), tmp_path), "--out", tmp_path / "r")
-    assert re.search(r"does not repeat within .* \(for noise and pulses there is --method noise; .*: --period\)", line)
+    assert re.search(r"does not repeat within .* \(for noise and pulses there is --method noise; .*: --period;", line)
 
 
 @pytest.mark.slow(reason="identifies trials")
