@@ -1,6 +1,7 @@
 """From when on the perturbation of trials repeats, and after how long."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 
 import numpy as np
 
@@ -59,13 +60,10 @@ def _found(trials: Sequence[ConditionTrials], start: float, *, may_fade: bool) -
         try:
             period = find_period(records, rate, start)
         except ValueError:
-            n_fade = round(FADE_OUT * rate)
-            if not may_fade or min(map(len, records)) <= 2 * n_fade:
-                raise
-            try:
-                period = find_period([d[:-n_fade] for d in records], rate, start)
-            except ValueError:
-                period = None
+            n_fade, period = round(FADE_OUT * rate), None
+            if may_fade and min(map(len, records)) > 2 * n_fade:
+                with suppress(ValueError):
+                    period = find_period([d[:-n_fade] for d in records], rate, start)
             if period is None:
                 raise
         trials[0].results[key] = period

@@ -129,7 +129,16 @@ def identify_conditions(
             "alone (--estimator record shares)"
         )
     conditions, remarks = used_conditions(parts_by_condition(trials), window_start)
-    fitter = _Fitter(structure, model is None, estimator, tuple(share), window_start, period, lines_per_average, emg)
+    fitter = _Fitter(
+        structure=structure,
+        chooses=model is None,
+        estimator=estimator,
+        share=tuple(share),
+        window_start=window_start,
+        period=period,
+        lines_per_average=lines_per_average,
+        emg=emg,
+    )
     identified: dict[str, Identification] = {}
     refused: dict[str, str] = {}
     # What conditions do not share is found sooner alone, and judged by their own trials.
@@ -156,7 +165,7 @@ def identify_conditions(
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Fitter:
     """How conditions are fitted; see `identify_conditions`.
 

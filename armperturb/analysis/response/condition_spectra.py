@@ -6,6 +6,7 @@ from contextlib import suppress
 import numpy as np
 
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, SETTLED, SETTLING, WINDOW_START
+from armperturb.analysis.per_trials import per_trials
 from armperturb.analysis.periods import common_period, settled_start
 from armperturb.analysis.response.closed_loop import local_fits
 from armperturb.analysis.response.joint_records import admittance_of
@@ -14,23 +15,25 @@ from armperturb.analysis.trials import ConditionTrials
 from armperturb.recording import labels_of
 
 
-def whole_periods_start(parts: Sequence[ConditionTrials], window_start: float = WINDOW_START) -> float | None:
+@per_trials
+def whole_periods_start(trials: ConditionTrials, window_start: float = WINDOW_START) -> float | None:
     """Latest time from which trials hold a whole period: `window_start`, or else `SETTLING` or `SETTLED` [s].
 
-    None where the disturbance has no period, trials hold none, or they differ in length.
+    None where the disturbance has no period, or trials hold none.
 
     Args:
-      parts: trials of one condition, those of one length together.
+      trials: of one condition, or their recording.
       window_start: start of the window of whole periods, as it is wanted [s].
     """
-    if len(parts) > 1:
+    try:
+        period = common_period([trials], window_start)
+    except ValueError:
         return None
-    latest = settled_start(parts, window_start)
-    for start in (latest, *(settled_start(parts, earlier) for earlier in (SETTLING, SETTLED))):
-        if start <= latest:
-            with suppress(ValueError):
-                parts[0].window(start, common_period(parts, window_start))
-                return start
+    latest, *earlier = (settled_start([trials], wanted) for wanted in (window_start, SETTLING, SETTLED))
+    for start in (latest, *(each for each in earlier if each <= latest)):
+        with suppress(ValueError):
+            trials.window(start, period)
+            return start
     return None
 
 
@@ -77,7 +80,9 @@ def condition_spectra(
     Raises:
       ValueError: as `averaged_spectra` with a stated period, and as `estimate_noise` otherwise.
     """
-    start = window_start if period is not None else whole_periods_start(parts, window_start)
+    start: float | None = window_start
+    if period is None:
+        start = whole_periods_start(parts[0], window_start) if len(parts) == 1 else None
     if start is None or periodic_lines(parts, start, period) is None:
         return _by_whole_records(parts)
     try:

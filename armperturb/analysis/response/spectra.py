@@ -266,8 +266,12 @@ def estimate_spectra(lines: LineSpectra, *, lines_per_average: int = LINES_PER_A
     near, needed = int(WIDEST_AVERAGE / apart + 1e-6) + 1, -(-ENOUGH // len(d))
     size = lines_per_average if lines_per_average > LINES_PER_AVERAGE else min(lines_per_average, max(near, needed))
     groups = _groups(runs, size)
+
+    def cross(y: ComplexArray) -> ComplexArray:
+        return np.array([np.einsum("tki,tkj->ij", d[:, g].conj(), y[:, g]) / (len(g) * len(d)) for g in groups])
+
     # Trials of one realisation do not tell what x does from what y does, however many they are.
-    if size < lines_per_average and min(_independence(d[:, group]) for group in groups) < TWO_DIRECTIONS:
+    if size < lines_per_average and _independence(cross(d)).min() < TWO_DIRECTIONS:
         groups = _groups(runs, lines_per_average)
     n_averages = np.array([len(group) * len(d) for group in groups])
     frequency = np.array([lines.frequency[group].mean() for group in groups])
@@ -281,10 +285,6 @@ def estimate_spectra(lines: LineSpectra, *, lines_per_average: int = LINES_PER_A
         warnings.warn(
             "as many averages as inputs: the multiple coherence is one by construction", RuntimeWarning, stacklevel=2
         )
-
-    def cross(y: ComplexArray) -> ComplexArray:
-        return np.array([np.einsum("tki,tkj->ij", d[:, g].conj(), y[:, g]) / (len(g) * len(d)) for g in groups])
-
     phi_dd, phi_df, phi_dx = cross(d), cross(f), cross(x)
     phi_xx = np.array([np.mean(np.abs(x[:, group]) ** 2, axis=(0, 1)) for group in groups])
     _require_two_directions(phi_dd, frequency)
@@ -309,11 +309,13 @@ def _groups(runs: Sequence[NDArray[np.int64]], size: int) -> list[NDArray[np.int
     return [each[::-1] for run in runs for each in np.array_split(run[::-1], max(1, len(run) // size))[::-1]]
 
 
-def _independence(d: ComplexArray) -> float:
-    """One less the squared coherence of what pushes along x and along y, (trial, line, axis) [-]; 0 without either."""
-    phi = np.einsum("tki,tkj->ij", d.conj(), d)
-    power = float((phi[0, 0] * phi[1, 1]).real)
-    return float(np.linalg.det(phi).real) / power if power > 0.0 else 0.0
+def _independence(phi_dd: ComplexArray) -> Array:
+    """One less the squared coherence of what pushes along x and along y [-], (frequency,); 0 without either.
+
+    Zero for disturbances that are proportional, whatever their sizes.
+    """
+    both = np.prod(np.einsum("fii->fi", phi_dd).real, axis=1)
+    return np.divide(np.linalg.det(phi_dd).real, both, out=np.zeros(len(both)), where=both > 0.0)
 
 
 def excited_lines(power: Array) -> NDArray[np.int64]:
@@ -350,8 +352,7 @@ def _require_two_directions(phi_dd: ComplexArray, frequency: Array) -> None:
             f"the disturbance along {'xy'[axis]} has no power at {frequency[line]:.3f} Hz; expected a disturbance "
             "along both axes, or a trial for each direction"
         )
-    # Zero for disturbances that are proportional, whatever their sizes.
-    independence = np.linalg.det(phi_dd).real / power.prod(axis=1)
+    independence = _independence(phi_dd)
     worst = int(np.argmin(independence))
     if independence[worst] < SAME_DIRECTION:
         raise ValueError(

@@ -180,7 +180,7 @@ def _identify(
             if trial not in multisine.numbers
         ]
     case = Case(condition=condition, name=name, recording=path, identification=None, left_out=tuple(left_out))
-    if condition in protocol.too_short() and (multisine is None or whole_periods_start([multisine]) is None):
+    if condition in protocol.too_short() and (multisine is None or whole_periods_start(multisine) is None):
         reason = f"the multisine lasts {protocol.multisine_lasts(condition):g} s, and the analysis needs {NEEDED:g} s"
         left_out.append(f"{name} in {condition.name} was not identified: {reason}")
         case = replace(case, left_out=tuple(left_out))
@@ -193,7 +193,7 @@ def _identify(
     try:
         identification = identify(multisine, structure_of(LINEAR_MODELS[condition.task]))
         single_trials: tuple[SpectralEstimate, ...] = ()
-        if (start := whole_periods_start([multisine])) is not None:
+        if (start := whole_periods_start(multisine)) is not None:
             with suppress(ValueError):  # one trial alone may be too short for spectra of its own
                 single_trials = single_trial_spectra(multisine, window_start=start)
         window = multisine_window(multisine.recording, may_be_earlier=True)
@@ -211,7 +211,7 @@ def _identify(
 
 def _with_thesis(case: Case, multisine: ConditionTrials) -> Case:
     """The case with what the thesis's estimator gives, or why it gives nothing."""
-    model, start = LINEAR_MODELS[case.condition.task], whole_periods_start([multisine])
+    model, start = LINEAR_MODELS[case.condition.task], whole_periods_start(multisine)
     try:
         thesis = identify(multisine, model, estimator="thesis", window_start=WINDOW_START if start is None else start)
         return replace(case, thesis=thesis)

@@ -257,13 +257,13 @@ def test_short_trials_have_the_lines_of_their_short_period():
     rng, period = np.random.default_rng(16), 2.0
     d = np.stack(realisations(period, 7.0, RATE, n_trials=4))
     trials = ConditionTrials.prepare(recorded(d, rng))
-    assert whole_periods_start([trials]) == 4.0
+    assert whole_periods_start(trials) == 4.0
     spectra = condition_spectra([trials])
     np.testing.assert_allclose(spectra.frequency, np.arange(1, 24) / period)  # far apart: each is a point
     np.testing.assert_array_equal(spectra.n_averages, 4)
     assert np.abs(spectra.arm / TRUE["arm"](spectra.frequency) - 1.0).max() < 0.1
-    assert whole_periods_start([ConditionTrials.prepare(recorded(d[:, :900], rng))]) == 2.0
-    assert whole_periods_start([ConditionTrials.prepare(recorded(noise(rng, 2, 7.0), rng))]) is None
+    assert whole_periods_start(ConditionTrials.prepare(recorded(d[:, :900], rng))) == 2.0
+    assert whole_periods_start(ConditionTrials.prepare(recorded(noise(rng, 2, 7.0), rng))) is None
 
 
 @pytest.mark.slow(reason="repeats estimates on drawn records")
