@@ -61,9 +61,10 @@ def admittance_of_trials(case: Case) -> Figure:
     for trial in case.single_trials:
         plot_admittance(panels, trial.frequency, trial.arm, mean, color=GREY, linewidth=0.7, alpha=0.6)
     plot_admittance(panels, spectra.frequency, spectra.arm, color=INK, linewidth=1.5)
+    single = Line2D([], [], color=GREY, linewidth=0.9, alpha=0.6, label="single trials")
     legend(
         figure,
-        Line2D([], [], color=GREY, linewidth=0.9, alpha=0.6, label="single trials"),
+        *([single] if case.single_trials else []),
         Line2D([], [], color=INK, linewidth=1.5, label="spectra averaged over trials"),
         *plot_truth(panels, case),
     )
