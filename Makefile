@@ -5,6 +5,8 @@ BIN := .venv/bin
 LATEST := .venv-latest/bin
 # A file's tests share a process, and with it what they are made from; tests/conftest.py puts the long files first.
 PYTEST := -m pytest -n auto --dist loadfile --no-loadscope-reorder
+# Bytecode is left to the first import: to make that of everything doubles the time of an installation.
+INSTALL := -m pip install --quiet --no-compile -c
 export OMP_NUM_THREADS ?= 1
 # Without bytecode every process that a test starts would compile the package again.
 unexport PYTHONDONTWRITEBYTECODE
@@ -58,21 +60,21 @@ clean:
 
 # One stamp per set of packages, so that a second call installs nothing. Machine code is compiled once, here.
 .venv/installed: .venv/bin/python pyproject.toml constraints.txt
-	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[sim]'
+	$(BIN)/python $(INSTALL) constraints.txt -e '.[sim]'
 	$(BIN)/python -m armperturb.study.results.compiling
 	touch $@
 
 .venv/installed-test: .venv/bin/python pyproject.toml constraints.txt
-	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[test,dm]'
+	$(BIN)/python $(INSTALL) constraints.txt -e '.[test,dm]'
 	$(BIN)/python -m armperturb.study.results.compiling
 	touch $@ .venv/installed
 
 .venv/installed-check: .venv/bin/python pyproject.toml constraints.txt
-	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[check]'
+	$(BIN)/python $(INSTALL) constraints.txt -e '.[check]'
 	touch $@
 
 .venv/installed-docs: .venv/bin/python pyproject.toml constraints.txt
-	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[docs]'
+	$(BIN)/python $(INSTALL) constraints.txt -e '.[docs]'
 	touch $@
 
 # fontTools, which embeds fonts in PDFs, takes 4 MB in Python, and 22 MB compiled.
@@ -82,5 +84,5 @@ clean:
 
 .venv-latest/installed: .venv-latest/bin/python pyproject.toml constraints.txt constraints-latest.txt
 	sed '/^mujoco==/d' constraints.txt > .venv-latest/constraints.txt
-	$(LATEST)/python -m pip install --quiet -c .venv-latest/constraints.txt -c constraints-latest.txt -e '.[test]'
+	$(LATEST)/python $(INSTALL) .venv-latest/constraints.txt -c constraints-latest.txt -e '.[learn]' pytest pytest-xdist
 	touch $@
