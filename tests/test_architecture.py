@@ -58,7 +58,7 @@ ARROWS = {
     "analysis.arm": BASE,
     "analysis.excited_bands": BASE,
     "analysis.imbalance": BASE | {"analysis.excited_bands"},
-    "analysis.force_balance": BASE | {"analysis.excited_bands", "analysis.imbalance"},
+    "analysis.force_balance": BASE | {"analysis.excited_bands", "analysis.imbalance", "analysis.start"},
     "analysis.signs": BASE | {"analysis.cuts", "analysis.imbalance", "analysis.force_balance"},
     "analysis.joint_balance": BASE | {"analysis.cuts", "analysis.force_balance", "analysis.plateaus"},
     "plots": BASE,

@@ -26,6 +26,7 @@ from scipy import fft, optimize, signal
 
 from armperturb.analysis.excited_bands import excited_spectra
 from armperturb.analysis.imbalance import Imbalance, find_imbalance
+from armperturb.analysis.start import start_at_zero
 from armperturb.arrays import Array, ComplexArray
 from armperturb.environment import Environment
 
@@ -291,14 +292,24 @@ class Balance:
         return np.asarray(np.linalg.inv(information) * self._shorter / (2 * self._n_averages))
 
     def displacement(self, environment: Environment, levels: NoiseLevels) -> Array:
-        """Best displacement from encoders and gauge [m], (trial, time, axis); its last `EDGE` s are not to be used."""
+        """Best displacement from encoders and gauge [m], (trial, time, axis).
+
+        Its last `EDGE` s are not to be used, nor the first of trials that start amid the movement.
+        """
         impedance = np.array([environment.m_env, environment.b_env, environment.k_env]) @ self._powers
         gain = gauge_gain(impedance, levels)
         balance = fft.irfft(self._load - impedance[:, None] * self._path, self._n_padded, axis=1)
-        # Where the record breaks off the balance holds a jump, on which the gain of good instruments would ring on.
+        # Where the record breaks off the balance holds a jump, on which the gain of good instruments would ring on; and
+        # where it begins, unless the handle is at rest. Differences of the first samples reach back before them: that
+        # is the end of what is padded.
         end, half = self._n_samples, self._n_edge // 2
-        balance[:, end - half :] = 0.0
-        balance[:, end - 2 * half : end - half] *= signal.windows.hann(2 * half, sym=False)[half:, None]
+        at_zero = start_at_zero(self._displacement, self._rate)
+        balance[:, end - half : self._n_padded - self._n_edge if at_zero else None] = 0.0
+        fade = signal.windows.hann(2 * half, sym=False)[:, None]
+        balance[:, end - 2 * half : end - half] *= fade[half:]
+        if not at_zero:
+            balance[:, :half] = 0.0
+            balance[:, half : 2 * half] *= fade[:half]
         better = fft.irfft(gain[:, None] * fft.rfft(balance, axis=1), self._n_padded, axis=1)[:, :end]
         return np.asarray(self._displacement + better)
 

@@ -14,14 +14,14 @@ HELD = 0.2
 from the perturbation over it up to which it is [-]."""
 
 AT_REST = 0.02
-"""Distance from zero, and between two samples, over the RMS displacement below which a handle is at rest [-]."""
+"""Distance from zero, and between two samples, over the RMS displacement below which a handle is at rest, beside noise [-]."""
 
 SLOW = 0.4
 """Step from the first sample over the RMS of all steps as long, up to which a handle starts from rest [-]: one that the
 whole perturbation sets in motion at once makes steps of up to 0.38."""
 
 BY_NOISE = 4.0
-"""Standard deviations by which noise may add to a step."""
+"""Standard deviations of a step's noise by which noise may add to a step, or to where the handle is at first."""
 
 PUSH = 0.05
 """Change of the perturbation over its largest change from which on it pushes [-]: above the noise of a measured one."""
@@ -36,18 +36,28 @@ def start_at_rest(perturbation: Array, force: Array, displacement: Array, rate: 
       displacement: x [m].
       rate: of the samples [Hz].
     """
-    d, f, x = perturbation, force, displacement
-    rms, apart = np.sqrt(np.mean(x**2, axis=1)), max(1, round(STEP * rate))
+    held = np.abs(force[:, 0])
+    # A handle at rest exerts on the hand what is exerted on it, where that is not nothing.
+    is_held = (held > HELD * force.std(axis=1)) & (np.abs(perturbation[:, 0] - force[:, 0]) < HELD * held)
+    return not is_held.any() and start_at_zero(displacement, rate)
+
+
+def start_at_zero(displacement: Array, rate: float) -> bool:
+    """Whether the handle is at zero and hardly moves at the start of every trial.
+
+    Args:
+      displacement: x [m], (trial, time, axis).
+      rate: of the samples [Hz].
+    """
+    x, apart = displacement, max(1, round(STEP * rate))
     steps = x[:, apart:] - x[:, :-apart]
     place, step = np.abs(x[:, 0]), np.abs(steps[:, 0])
-    # A slow movement makes steps that are small beside the way that it goes, but not beside its other steps. Fourth
-    # differences are of noise alone: 70 times its variance; a step has twice that.
-    noise = np.sqrt(np.mean(np.diff(x, 4, axis=1) ** 2, axis=1) * (2.0 / 70.0))
-    is_slow = step <= SLOW * np.sqrt(np.mean(steps**2, axis=1)) + BY_NOISE * noise
-    held = np.abs(f[:, 0])
-    # A handle at rest exerts on the hand what is exerted on it, where that is not nothing.
-    is_held = (held > HELD * f.std(axis=1)) & (np.abs(d[:, 0] - f[:, 0]) < HELD * held)
-    return bool(np.all((place < AT_REST * rms) & (step < AT_REST * rms) & is_slow) and not is_held.any())
+    # Fourth differences are of noise alone: 70 times its variance; a step has twice that.
+    by_noise = BY_NOISE * np.sqrt(np.mean(np.diff(x, 4, axis=1) ** 2, axis=1) * (2.0 / 70.0))
+    rest = AT_REST * np.sqrt(np.mean(x**2, axis=1)) + by_noise
+    # A slow movement makes steps that are small beside the way that it goes, but not beside its other steps.
+    slow = SLOW * np.sqrt(np.mean(steps**2, axis=1)) + by_noise
+    return bool(np.all((place < rest) & (step < np.minimum(rest, slow))))
 
 
 def constant_force(force: Array) -> Array:

@@ -85,7 +85,7 @@ def select_trials(
     """
     require_each_once(files)
     imported = [import_recording([path], sidecar=sidecar, optional=optional) for path in files]
-    notes = list(dict.fromkeys(note for _, of_file in imported for note in of_file))
+    notes = _of_files(files, [of_file for _, of_file in imported])
     # Now, as notes count the trials of the files.
     source, selected = ", ".join(map(str, files)), [without_copies(recording).recording for recording, _ in imported]
     of_files = list(map(str, files))
@@ -102,6 +102,23 @@ def select_trials(
         selected = [recording for recording in selected if recording.sizes["trial"]]
     check_recordings(selected, of_files)
     return selected, notes
+
+
+def _of_files(files: Sequence[Path], notes: Sequence[Sequence[str]]) -> list[str]:
+    """Notes of several files, each once: those that are not of all of them name theirs.
+
+    Args:
+      files: that were read.
+      notes: of each of them.
+    """
+    of_note: dict[str, list[str]] = {}
+    for path, of_file in zip(map(str, files), notes, strict=True):
+        for note in of_file:
+            of_note.setdefault(note, []).append(path)
+    return [
+        note if len(paths) == len(files) or note.startswith(paths[0]) else f"{', '.join(paths)}: {note}"
+        for note, paths in of_note.items()
+    ]
 
 
 def with_emg_files(files: Sequence[Path], sidecar: Path | None) -> list[Path]:

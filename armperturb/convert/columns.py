@@ -2,8 +2,8 @@
 
 import re
 import warnings
-from collections.abc import Iterator, Sequence
-from itertools import islice
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import islice, permutations
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,6 +22,7 @@ from armperturb.foreign import LARGEST, read_foreign
 WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 _KNOWN = {unit for known in UNITS.values() for unit in known} - {""}
 _UNITS = "|".join(sorted(_KNOWN))
+_EMG = {*TABLES["words"]["emg"]}
 _UNIT = re.compile(rf"\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$|[\s_.-]+({_UNITS})$")
 
 
@@ -165,16 +166,39 @@ def columns_of(path: Path, dialect: Dialect) -> list[Column]:
     content = read_foreign(path)
     if path.suffix.lower() in C3D:
         return [Column(name, name, part["values"], part["unit"], part["rate"]) for name, part in content.items()]
-    return [column for name, value in content.items() for column in _matlab_columns(name, value)]
+    of_trials = _matrices_of_trials(content)
+    return [column for name, value in content.items() for column in _matlab_columns(name, value, name in of_trials)]
 
 
-def _matlab_columns(name: str, value: Any) -> Iterator[Column]:
+def _matrices_of_trials(content: Mapping[str, Any]) -> set[str]:
+    """Matrices that hold one axis, so that their columns are trials, however few.
+
+    That are X and Y of one shape, and an angle and a torque that are alone of theirs.
+    """
+    words = {
+        name: {*Column(name, name, value).words()[0]}
+        for name, value in content.items()
+        if isinstance(value, np.ndarray) and value.ndim == 2
+    }
+    angle, torque = ({*TABLES["words"][role]} for role in ("angle", "torque"))
+    found = set()
+    for first, second in permutations(words, 2):
+        shape, named = content[first].shape, (words[first], words[second])
+        n_alike = sum(content[name].shape == shape and not words[name] & _EMG for name in words)
+        is_joint = n_alike == 2 and bool(named[0] & angle and named[1] & torque)
+        if content[second].shape == shape and (is_joint or named == ({"x"}, {"y"})):
+            found |= {first, second}
+    return found
+
+
+def _matlab_columns(name: str, value: Any, of_trials: bool) -> Iterator[Column]:
     """Numbers, vectors over time, matrices of components or trials, and arrays of both."""
     if isinstance(value, dict):
+        inside = _matrices_of_trials(value)
         for field, inner in value.items():
-            yield from _matlab_columns(f"{name}.{field}", inner)
+            yield from _matlab_columns(f"{name}.{field}", inner, field in inside)
     if isinstance(value, list) and value:
-        yield from _matlab_columns(name, value[0])
+        yield from _matlab_columns(name, value[0], of_trials)
     if isinstance(value, np.ndarray) and value.ndim == 0 and value.dtype.kind in "fiu":
         value = value[()]
     if isinstance(value, np.generic):
@@ -188,15 +212,17 @@ def _matlab_columns(name: str, value: Any) -> Iterator[Column]:
     dims = ["time" if axis == time else "trial" for axis in range(value.ndim)]
     last = value.ndim - 1 if time != value.ndim - 1 else 0
     leaf = Column(name, name.rpartition(".")[2], value).words()[0]
-    if {*leaf} & {*TABLES["words"]["emg"]}:
+    if {*leaf} & _EMG:
         for muscle in range(value.shape[last]):
             index = [f"{muscle + 1}" if at == last else dim for at, dim in enumerate(dims)]
             yield Column(f"{name}({','.join(index)})", f"{name} {muscle + 1}", value.take(muscle, last).ravel())
         return
-    if value.ndim == 2 and len("".join(leaf)) > 1 and axis_of(leaf)[1] is not None:
+    if of_trials:
+        yield Column(f"{name}({','.join(dims)})", name.rpartition(".")[2], value.ravel())
+    elif value.ndim == 2 and len("".join(leaf)) > 1 and axis_of(leaf)[1] is not None:
         yield Column(f"{name}({','.join(dims)})", name, value.ravel())
     elif value.shape[last] in (2, 3):
-        for component, axis in enumerate("xy"):
+        for component, axis in enumerate("xyz"[: value.shape[last]]):
             index = [f"{component + 1}" if at == last else dim for at, dim in enumerate(dims)]
             yield Column(f"{name}({','.join(index)})", f"{name}.{axis}", value.take(component, last).ravel())
     elif value.ndim == 2 and leaf and leaf[-1] not in TABLES["words"]["time"]:  # trials of one axis

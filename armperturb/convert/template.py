@@ -114,6 +114,11 @@ def write_sidecar(file: str | Path, out: str | Path | None = None, *, rate: floa
 # What it means.
 
 
+def _is_rate(column: Column) -> bool:
+    """Whether a name, or a field of a structure, is that of a rate."""
+    return " ".join(column._replace(label=column.label.rpartition(".")[2]).words()[0]) in WORDS["rate"]
+
+
 def _guess(
     path: Path, columns: Sequence[Column], dialect: Dialect, rate: float | None
 ) -> tuple[dict[str, Any], dict[str, str], list[str]]:
@@ -133,8 +138,10 @@ def _guess(
             labels[label if label in TRIAL_COORDINATES else column.channel.lower()] = column.values
         elif column.values.dtype.kind not in "fiu":
             continue
-        elif name in WORDS["rate"] and len(column.values) == 1 and "rate" not in content:
+        elif len(column.values) == 1 and "rate" not in content and _is_rate(column):
             content["rate"] = float(column.values[0])
+            if name not in WORDS["rate"]:
+                guessed["rate"] = f"the sampling rate in Hz: {column.channel} may be that of its structure alone"
         elif words and words[-1] in WORDS["time"] and "time" not in content:
             content["time"] = {"channel": column.channel, "unit": unit}
             if unit not in UNITS["s"]:

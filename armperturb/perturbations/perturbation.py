@@ -9,6 +9,9 @@ from armperturb.validation import require_number, require_whole
 BANDWIDTH_SHARE = 0.45
 """A perturbation may reach up to this share of the simulation rate [-]: the Nyquist frequency with a margin."""
 
+MAX_DURATION = 3600.0
+"""Longest perturbation of a trial [s]: anything longer is a slip in a file, and would not fit into memory."""
+
 
 @runtime_checkable
 class Perturbation(Protocol):

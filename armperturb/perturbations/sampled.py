@@ -10,7 +10,7 @@ import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
 from armperturb.files import require_input, written_whole
-from armperturb.perturbations.perturbation import Perturbation, sample_times
+from armperturb.perturbations.perturbation import MAX_DURATION, Perturbation, sample_times
 from armperturb.validation import require_number, require_type
 
 COLUMNS = ("time_s", "d_x_N", "d_y_N")
@@ -188,6 +188,10 @@ def _uniform_rate(path: str | Path, times: np.ndarray, line_numbers: list[int]) 
         raise ValueError(
             f"{path}, line {line_numbers[row]}: time_s = {times[row]:.9g} after {times[row - 1]:.9g}; "
             "expected increasing times"
+        )
+    if times[-1] > MAX_DURATION:
+        raise ValueError(
+            f"{path}, line {line_numbers[-1]}: time_s = {times[-1]:.9g}; expected seconds, at most {MAX_DURATION:g}"
         )
     # The median, not the mean: a gap would move the mean and put the blame on every other step.
     usual = float(np.median(steps))

@@ -91,6 +91,23 @@ def test_combined_displacement_has_the_variance_of_theory_and_is_better_than_eit
     assert power[frequency > 35].mean() < (LEVELS.displacement / 25) ** 2
 
 
+@pytest.mark.parametrize("amid", [False, True])
+def test_what_is_not_recorded_before_the_start_does_not_ring_in_the_combined_displacement(amid):
+    """Noise of the first samples is no jump of the handle; a movement on whose way the record begins is one."""
+    levels = NoiseLevels(force=0.02, displacement=4e-5)
+    path, load = (signal[:, 1000 if amid else 0 :] for signal in moving(0))
+    rng = np.random.default_rng(1)
+    noisy = path + levels.displacement * rng.normal(size=path.shape)
+    balance = Balance(np.zeros_like(load), levels.force * rng.normal(size=load.shape) - load, noisy, RATE)
+    error = np.sqrt(np.mean((balance.displacement(ENVIRONMENT, levels) - path) ** 2, axis=(0, 2)))
+    later = np.sqrt(np.mean(error[round(2.0 * RATE) : round(10.0 * RATE)] ** 2))
+    first = error[: round(EDGE * RATE)]
+    assert later < 0.3 * levels.displacement
+    # Where it begins amid the movement the encoders have to do.
+    assert np.sqrt(np.mean(first**2)) < (1.1 * levels.displacement if amid else 1.5 * later)
+    assert first.max() < (2.0 * levels.displacement if amid else 3.0 * later)
+
+
 @pytest.mark.slow(reason="balances many recordings")
 def test_skew_of_the_clocks_is_measured(balances):
     none = np.array([balance.skew(*balance.fit()) for balance, _ in balances])

@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from laboratory import write
+from laboratory import table, write
 
 from armperturb import cli
 from armperturb.commands import compare, design, identify, response, validate
+from armperturb.commands.selection import select_trials
 from armperturb.convert.importer import import_recording
 from armperturb.recording import make_recording
 from armperturb.recording_files import load_recording, save_recording
@@ -34,6 +35,16 @@ def lab(tmp_path_factory):
 @pytest.fixture
 def folder(lab, tmp_path):
     return shutil.copytree(lab, tmp_path / "lab")
+
+
+def test_notes_of_a_file_name_it_where_there_are_several(tmp_path):
+    sound, weak = table(), table()
+    weak[:, 4:6] *= 0.9  # the force
+    files = [write(tmp_path, each, name=name) for name, each in (("a", sound), ("b", weak))]
+    _, notes = select_trials(files, None, None, None, single_condition=False)
+    assert [note.partition(": ")[0] for note in notes if "10 % too small" in note] == [str(files[1])]
+    _, notes = select_trials(files[1:], None, None, None, single_condition=False)
+    assert [note.partition(" ")[0] for note in notes if "10 % too small" in note] == ["force"]
 
 
 def refused(capsys, *arguments):

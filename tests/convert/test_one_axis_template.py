@@ -78,6 +78,18 @@ def test_arrays_with_their_rate(tmp_path):
     assert sidecar["labels"]["joint"] == "elbow"
 
 
+@pytest.mark.parametrize("n_trials", [2, 3, 5])
+def test_columns_of_an_angle_and_a_torque_are_trials_however_few(tmp_path, n_trials):
+    angle, torque = ankle()
+    path = tmp_path / "ankle.mat"
+    trials = [np.stack([signal * (1.0 + 0.1 * n) for n in range(n_trials)], axis=1) for signal in (angle, torque)]
+    savemat(path, {"Fs": RATE, "ANG": trials[0], "TRQ": trials[1]})
+    sidecar, _ = written(path)
+    assert sidecar["signals"]["displacement"]["channels"] == {"x": "ANG(time,trial)"}
+    force = import_recording([path]).recording["force"].values
+    np.testing.assert_allclose(np.abs(force[:, :, 0]), np.abs(trials[1].T), atol=1e-12)
+
+
 def test_forces_and_displacements_of_one_direction(tmp_path):
     angle, torque = ankle()
     path = tmp_path / "push.csv"

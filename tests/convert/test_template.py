@@ -317,6 +317,20 @@ def test_matlab_files(tmp_path, form):
     assert_is_the_laboratory(import_recording([path]).recording)
 
 
+@pytest.mark.slow(reason="three child processes for each file")
+@pytest.mark.parametrize("n_trials", [2, 3, 4])
+@pytest.mark.parametrize("in_structure", [False, True])
+def test_x_and_y_are_the_axes_of_trials_however_few(tmp_path, n_trials, in_structure):
+    parts = np.stack([np.concatenate(handle(trial % 2), axis=1) for trial in range(n_trials)], axis=1)
+    content = dict(zip(("Dx", "Dy", "Fx", "Fy", "X", "Y"), np.moveaxis(parts, -1, 0), strict=True)) | {"fs": RATE}
+    savemat(tmp_path / "lab.mat", {"data": content} if in_structure else content)
+    write_sidecar(tmp_path / "lab.mat")
+    recording = import_recording([tmp_path / "lab.mat"]).recording
+    assert recording.sizes["trial"] == n_trials
+    for trial in range(n_trials):
+        np.testing.assert_allclose(recording["displacement"].values[trial], handle(trial % 2)[2], atol=1e-12)
+
+
 @pytest.mark.slow(reason="three child processes")
 def test_c3d_files(tmp_path):
     write_c3d(tmp_path / "lab.c3d")

@@ -283,6 +283,7 @@ BAD_FILES = {
     HEADER + "0,1,2\n\n0.1,1,1\n": ", line 3: 0 values; expected 3",
     HEADER + "0,1,2\n0.1,1,1\n0.1,1,1\n": ", line 4: time_s = 0.1 after 0.1; expected increasing times",
     HEADER + "1,1,2\n1.1,1,1\n1.2,1,1\n": ", line 2: time_s = 1; expected the first time to be 0",
+    HEADER + "0,1,2\n10,1,1\n3610,1,1\n": ", line 4: time_s = 3610; expected seconds, at most 3600",
     HEADER + "0,1,2\n0.1,1,1\n0.2,1,1\n0.4,1,1\n0.5,1,1\n": (
         ", line 5: time step = 0.2 s; expected 0.1 s as in the other lines, to 0.1% "
         "(uniform times, with enough decimals)"

@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
+from armperturb.analysis.fit.maximum_likelihood import SUSPICIOUS
 from armperturb.analysis.nonlinear.draws import predict_with_stable_noise
 from armperturb.analysis.nonlinear.estimate import (
     N_PAIRS,
@@ -81,9 +82,10 @@ class Gain(NamedTuple):
 
     def __str__(self) -> str:
         change = "raises" if self.mean > 0.0 else "lowers"
+        by_chance = ", not significant" if self.mean > 0.0 and not self.is_shown else ""
         return (
             f"{change} the log-likelihood of left-out trials by {abs(self.mean):.1f} (standard error "
-            f"{self.standard_error:.1f}{'' if self.is_shown else ', not significant'})"
+            f"{self.standard_error:.1f}{by_chance})"
         )
 
 
@@ -172,6 +174,13 @@ class Choice(Result):
                 "threshold of the velocity feedback",
             }[self.chosen]
         )
+        estimate = self.judged[self.chosen].estimate
+        tested = {} if estimate is None else estimate.lack_of_fit
+        if lacking := [label for label, test in tested.items() if test.p_value < SUSPICIOUS]:
+            lines.append(
+                f"but the {self.chosen} law does not explain the trials of {', '.join(lacking)} (lack of fit): none of "
+                "these laws may be right"
+            )
         lines += [
             f"these trials {'show' if gain.is_shown else 'do not show'} {name}: it {gain}"
             for name, gain in self.mechanisms.items()

@@ -20,7 +20,6 @@ from armperturb.envs.lab.setup import Progress, Setup, Truth, in_threads
 from armperturb.envs.lab.trial import (
     EMG,
     MARKER,
-    MAX_DURATION,
     Trial,
     noise_torque,
     pulse_of,
@@ -28,6 +27,7 @@ from armperturb.envs.lab.trial import (
     subject_in,
 )
 from armperturb.perturbations import Perturbation, check_bandwidth
+from armperturb.perturbations.perturbation import MAX_DURATION
 from armperturb.recording import MUSCLES, HighPass, make_recording
 from armperturb.subject import Subject
 from armperturb.validation import as_list_of, require_number, require_whole

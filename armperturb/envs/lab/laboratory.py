@@ -35,11 +35,11 @@ from armperturb.envs.lab.start import (
 )
 from armperturb.envs.lab.stepping import DIVERGED
 from armperturb.envs.lab.stretch_reflex import Controller
-from armperturb.envs.lab.trial import MAX_DURATION
 from armperturb.envs.lab.two_segments import Segments, segments_of
 from armperturb.models.rig import AHEAD, SLIDES, STRAIN_GAUGE, start_motors
 from armperturb.models.scene import PREFIX, PUSHES, Grip, in_laboratory, load_arm, require_forces
 from armperturb.perturbations import Perturbation, check_bandwidth
+from armperturb.perturbations.perturbation import MAX_DURATION
 from armperturb.recording import make_recording
 from armperturb.subject import RELAX, TASKS
 from armperturb.validation import LONGEST_NAME, require_number, require_one_of

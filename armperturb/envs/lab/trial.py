@@ -17,9 +17,6 @@ from armperturb.validation import require_name, require_number, require_type, re
 HUMAN, MARKER, EMG = 1, 2, 3
 """What a trial's seed is extended by for each source of chance; the strain gauge takes the seed as it is."""
 
-MAX_DURATION = 3600.0
-"""Longest trial [s]: anything longer is a slip in a file, and would not fit into memory."""
-
 MARGIN_KEPT = 0.5
 """Share of a person's distance from instability (largest real part of a pole) that every trial keeps [-]: closer to it,
 an arm rings on the remnant in a way that people do not."""

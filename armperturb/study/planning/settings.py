@@ -14,10 +14,9 @@ from armperturb.analysis.fit.truth import at_truth
 from armperturb.analysis.force_balance import NoiseLevels
 from armperturb.environment import Environment
 from armperturb.envs.lab.instruments import Instruments
-from armperturb.envs.lab.trial import MAX_DURATION
 from armperturb.perturbations import Perturbation
 from armperturb.perturbations.multisine import PERIOD
-from armperturb.perturbations.perturbation import LARGEST_RMS_DISPLACEMENT
+from armperturb.perturbations.perturbation import LARGEST_RMS_DISPLACEMENT, MAX_DURATION
 from armperturb.subject import Subject
 from armperturb.validation import require_number, require_one_of, require_ranges
 

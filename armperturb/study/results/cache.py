@@ -37,9 +37,9 @@ LOG = logging.getLogger(__name__)
 Result = TypeVar("Result")
 
 VERSIONS = {
-    "person": 10,
-    "step-2": 8,
-    "nonlinear": 7,
+    "person": 11,
+    "step-2": 9,
+    "nonlinear": 8,
     "mechanisms": 1,
     "moving-shoulder": 2,
     "figure": 2,

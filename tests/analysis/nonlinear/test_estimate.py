@@ -405,6 +405,10 @@ def test_verdicts_say_what_is_not_shown():
         "error 4.0, not significant)"
     )
     assert "do not show thixotropy" in verdict[2]
+    assert str(Gain(-30.0, 2.0, 6)) == "lowers the log-likelihood of left-out trials by 30.0 (standard error 2.0)"
+    bad = SimpleNamespace(lack_of_fit={"A": SimpleNamespace(p_value=1e-9), "B": SimpleNamespace(p_value=0.4)})
+    wrong = Choice(judged={**laws, "full": replace(nothing, estimate=bad)}, chosen="full", gains=gains, mechanisms={})
+    assert "but the full law does not explain the trials of A (lack of fit)" in wrong.verdict()[3]
     shown = {"thixotropy": Gain(-1.0, 4.0, 6)}
     verdict = Choice(judged=laws, chosen="full", gains=gains, mechanisms=shown).verdict()
     assert verdict[-1].startswith(
