@@ -14,7 +14,8 @@ HELD = 0.2
 from the perturbation over it up to which it is [-]."""
 
 AT_REST = 0.02
-"""Distance from zero, and between two samples, over the RMS displacement below which a handle is at rest, beside noise [-]."""
+"""Distance from zero, and between two samples, over the RMS displacement below which a handle is at rest but for noise
+[-]."""
 
 SLOW = 0.4
 """Step from the first sample over the RMS of all steps as long, up to which a handle starts from rest [-]: one that the
