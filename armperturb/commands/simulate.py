@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from armperturb.commands.command import Command
-from armperturb.environment import TIMESTEP
+from armperturb.environment import TIMESTEP, Environment
 from armperturb.files import checksum, require_new
 
 if TYPE_CHECKING:
@@ -39,6 +39,9 @@ class Simulate(Command):
     """Recording to write (netCDF4), NAME.nc."""
     ideal: bool = False
     """Record the true signals: no instrument effects, no noise."""
+    manipulator: tuple[float, float, float] = (Environment.m_env, Environment.b_env, Environment.k_env)
+    """Mass [kg], damping [Ns/m] and stiffness [N/m] of the manipulator, as identify prints them; by default the
+    thesis's."""
     rope: Literal["ideal", "pendulum"] = "ideal"
     """Whether the rope that carries the arm pulls it back like a pendulum."""
     rate: float = 200.0
@@ -81,7 +84,6 @@ class Simulate(Command):
         """Simulate the trial and write the recording."""
         import numpy as np
 
-        from armperturb.environment import Environment
         from armperturb.envs.lab.instruments import Instruments
         from armperturb.perturbations import load_perturbation
         from armperturb.recording_files import require_ending, save_recording
@@ -99,14 +101,16 @@ class Simulate(Command):
         arm = self.mjcf or self.subject
         try:
             record = self._of_subject if self.mjcf is None else self._of_model
-            recording, lines = record(perturbation, instruments)
+            m_env, b_env, k_env = self.manipulator
+            environment = Environment(m_env=m_env, b_env=b_env, k_env=k_env)
+            recording, lines = record(perturbation, environment, instruments)
         except (ValueError, RuntimeError) as error:
             raise type(error)(f"{arm} with {self.perturbation}: {error}") from None
         limit = float(recording["limit_time"].values[0])
         if np.isfinite(limit):
             raise ValueError(
                 f"{self.perturbation}: displacement reached the workspace limit at {limit:.3f} s; expected it to stay "
-                f"within {Environment().workspace:g} m of the start (a weaker perturbation, a stiffer arm or "
+                f"within {environment.workspace:g} m of the start (a weaker perturbation, a stiffer arm or "
                 "weaker reflexes)"
             )
         save_recording(recording, self.out)
@@ -131,7 +135,7 @@ class Simulate(Command):
                 raise ValueError(f"simulate: --{option} without --mjcf; expected it with a model in MJCF only")
 
     def _of_subject(
-        self, perturbation: "Perturbation", instruments: "Instruments | None"
+        self, perturbation: "Perturbation", environment: Environment, instruments: "Instruments | None"
     ) -> tuple["xr.Dataset", list[str]]:
         import numpy as np
 
@@ -142,7 +146,7 @@ class Simulate(Command):
         assert self.subject is not None
         trial = Trial(subject=Subject.load(self.subject), perturbation=perturbation, seed=self.seed)
         recording = run_experiment(
-            [trial], timestep=self.timestep, rate=self.rate, rope=self.rope, instruments=instruments
+            [trial], environment, timestep=self.timestep, rate=self.rate, rope=self.rope, instruments=instruments
         )
         low, high = np.degrees(recording["joint_angle"].sel(joint="elbow").quantile([0.0, 1.0]).values).tolist()
         if ELBOW[0] <= low and high <= ELBOW[1]:
@@ -153,7 +157,7 @@ class Simulate(Command):
         ]
 
     def _of_model(
-        self, perturbation: "Perturbation", instruments: "Instruments | None"
+        self, perturbation: "Perturbation", environment: Environment, instruments: "Instruments | None"
     ) -> tuple["xr.Dataset", list[str]]:
         from armperturb.envs.lab.laboratory import Laboratory
         from armperturb.envs.lab.stretch_reflex import StretchReflex
@@ -167,6 +171,7 @@ class Simulate(Command):
         laboratory = Laboratory(
             str(self.mjcf),
             self.hand,
+            environment=environment,
             activation=self.activation,
             controller=reflex,
             posture_deg=_angles(self.posture_deg),

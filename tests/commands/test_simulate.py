@@ -8,6 +8,7 @@ from foreign_models import MUSCLE_ARM, TWO_LINK
 
 import armperturb as ap
 from armperturb import cli
+from armperturb.analysis.trials import ConditionTrials
 
 
 @pytest.fixture
@@ -49,6 +50,20 @@ def test_a_person_is_recorded_as_fast_as_asked(folder, capsys):
     assert "elbow" not in capsys.readouterr().out
     recording = ap.load_recording(folder / "out.nc")
     assert (recording.attrs["rate"], recording.sizes["time"]) == (1000.0, 300)
+
+
+@pytest.mark.parametrize("of_model", [False, True])
+def test_another_manipulator_is_what_the_recording_shows(folder, capsys, of_model):
+    ap.RELAX.save(folder / "relax.toml")
+    model = ("--mjcf", str(folder / "two_link.xml"), "--hand", "palm")
+    arm = model if of_model else ("--subject", str(folder / "relax.toml"))
+    multisine = ap.Multisine.draw(seed=0, rms=1.0, duration=8.0, crested=False)
+    ap.save_perturbation(multisine, folder / "pulse.csv", rate=200.0)
+    assert simulate(folder, *arm, "--ideal", "--manipulator", "5", "20", "100") == 0
+    found = ConditionTrials.prepare(ap.load_recording(folder / "out.nc")).environment
+    assert (found.m_env, found.b_env, found.k_env) == pytest.approx((5.0, 20.0, 100.0), rel=2e-3)
+    assert simulate(folder, *arm, "--overwrite", "--manipulator", "-5", "20", "100") == 1
+    assert "m_env = -5.0; expected" in capsys.readouterr().err
 
 
 def test_an_elbow_past_straight_is_named(folder, capsys):
