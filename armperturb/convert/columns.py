@@ -181,14 +181,14 @@ def _matrices_of_trials(content: Mapping[str, Any]) -> set[str]:
         if isinstance(value, np.ndarray) and value.ndim == 2
     }
     angle, torque = ({*TABLES["words"][role]} for role in ("angle", "torque"))
-    found = set()
+    of_trials = set()
     for first, second in permutations(words, 2):
         shape, named = content[first].shape, (words[first], words[second])
         n_alike = sum(content[name].shape == shape and not words[name] & _EMG for name in words)
         is_joint = n_alike == 2 and bool(named[0] & angle and named[1] & torque)
         if content[second].shape == shape and (is_joint or named == ({"x"}, {"y"})):
-            found |= {first, second}
-    return found
+            of_trials |= {first, second}
+    return of_trials
 
 
 def _matlab_columns(name: str, value: Any, of_trials: bool) -> Iterator[Column]:
