@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from armperturb.analysis.force_balance import NoiseLevels
+from armperturb.analysis.smoother import NoiseLevels
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.cohort import average_person
 from armperturb.controllers.remnant import HUMAN_NOISE

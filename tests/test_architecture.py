@@ -15,8 +15,8 @@ BASE |= {"joined_recordings", "jit", "muscle_law", "person_files", "subject", "e
 BASE |= {"copied_trials"}
 ARM = BASE | {
     "analysis.cuts", "analysis.defaults", "analysis.plateaus", "analysis.arm", "analysis.excited_bands",
-    "analysis.imbalance", "analysis.force_balance", "analysis.trials", "analysis.per_trials", "analysis.manipulator",
-    "analysis.numerics", "analysis.start", "analysis.pulses_alone", "analysis.periods",
+    "analysis.imbalance", "analysis.smoother", "analysis.force_balance", "analysis.trials", "analysis.per_trials",
+    "analysis.manipulator", "analysis.numerics", "analysis.start", "analysis.pulses_alone", "analysis.periods",
     "analysis.results", "analysis.signs", "analysis.joint_balance", "plots", "anthropometry",
 }  # fmt: skip
 OF_TRIALS = {"analysis.per_trials", "analysis.manipulator", "analysis.pulses_alone", "analysis.periods"}
@@ -58,7 +58,8 @@ ARROWS = {
     "analysis.arm": BASE,
     "analysis.excited_bands": BASE,
     "analysis.imbalance": BASE | {"analysis.excited_bands"},
-    "analysis.force_balance": BASE | {"analysis.excited_bands", "analysis.imbalance", "analysis.start"},
+    "analysis.smoother": BASE,
+    "analysis.force_balance": BASE | {"analysis.excited_bands", "analysis.imbalance", "analysis.smoother"},
     "analysis.signs": BASE | {"analysis.cuts", "analysis.imbalance", "analysis.force_balance"},
     "analysis.joint_balance": BASE | {"analysis.cuts", "analysis.force_balance", "analysis.plateaus"},
     "plots": BASE,

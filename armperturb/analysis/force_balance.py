@@ -10,7 +10,7 @@ what the environment is (errors in variables: sum |n|^2 / Phi_nn is least), and 
 The recorded force thus holds a second measurement of the displacement, E (d - f). Encoders are better at low
 frequencies, where the handle moves far; the gauge is better at high ones, where inertia turns small movements into
 large forces (with the thesis's instruments above some 6 Hz, and 50 times better at 40 Hz). The best displacement is the
-mean of both, weighted inversely with their variances: x + G n with G = s_x^2 conj(E^-1) / (s_x^2 |E^-1|^2 + s_f^2).
+mean of both, weighted inversely with their variances, see `smoother`.
 
 All this takes the clocks of force and displacement to agree: a skew turns inertia into damping, by m w^2 per second. It
 is seen in the balance as well, as a delay that no m, b and k explain. So is whatever else is wrong with a signal or the
@@ -26,7 +26,7 @@ from scipy import fft, optimize, signal
 
 from armperturb.analysis.excited_bands import excited_spectra
 from armperturb.analysis.imbalance import Imbalance, find_imbalance
-from armperturb.analysis.start import start_at_zero
+from armperturb.analysis.smoother import ROUND_OFF, NoiseLevels, smoothed
 from armperturb.arrays import Array, ComplexArray
 from armperturb.environment import Environment
 
@@ -44,36 +44,14 @@ EMPTY, LEAST_FULL = 0.3, 30.0
 which on that is looked for [Hz]: people and perturbations leave more than white noise below."""
 
 LEFT_OVER = 0.2
-"""Share of the load's power at low frequencies from which on there is no balance [-]; noise leaves under 0.01."""
+"""Share of the load's power at low frequencies from which on there is no balance [-], beside the instruments' noise."""
+
+LEAST_SLOW, CLEAR = 20, 10.0
+"""Least number of frequencies that are low, and power of the acceleration over that of the encoders' noise in it up to
+which they are [-]."""
 
 LONGEST_STORED = 2**18
 """Samples of a record up to which its balance is stored with it."""
-
-ROUND_OFF = 1e-12
-"""No instrument is known to be less noisy than this share of its RMS signal [-]."""
-
-
-class NoiseLevels(NamedTuple):
-    """White noise of the instruments.
-
-    Attributes:
-      force: standard deviation of a sample of the force [N].
-      displacement: standard deviation of a sample of the displacement [m].
-    """
-
-    force: float
-    displacement: float
-
-
-def gauge_gain(impedance: ComplexArray, levels: NoiseLevels) -> ComplexArray:
-    """What the best displacement has of what is left of the balance, G [m/N], (frequency,).
-
-    Args:
-      impedance: E^-1 of the manipulator [N/m], (frequency,).
-      levels: of the instruments' noise.
-    """
-    variance = levels.displacement**2
-    return np.asarray(variance * impedance.conj() / (variance * np.abs(impedance) ** 2 + levels.force**2))
 
 
 class Skew(NamedTuple):
@@ -112,6 +90,10 @@ class Balance:
         self._load = fft.rfft(load, self._n_padded, axis=1)
         self._path = fft.rfft(displacement, self._n_padded, axis=1)
         self._n_averages = displacement.shape[0] * displacement.shape[2]
+        # Fourth differences are hardly anything but noise, and have 70 times its variance.
+        self._white = NoiseLevels(
+            *(float(np.sqrt(np.mean(np.diff(each, 4, axis=1) ** 2) / 70.0)) for each in (force, displacement))
+        )
         self._least = ROUND_OFF * np.sqrt([np.mean(load**2), np.mean(displacement**2)])
         taper = signal.windows.hann(self._n_samples - 2 * self._n_edge, sym=False)
         self._taper = taper / np.linalg.norm(taper)
@@ -173,7 +155,7 @@ class Balance:
         sign = "force must be the reaction force that the handle exerts on the hand: the environment sees d - f"
         if not mass > 0.0:
             raise ValueError(f"the environment's mass comes out at {mass:.3g} kg; expected a positive mass ({sign})")
-        left = self._left(values)
+        left = self._left(values, levels)
         if left > LEFT_OVER:
             raise ValueError(
                 f"mass, damping and stiffness leave {left:.0%} of the load on the environment unexplained; expected "
@@ -185,15 +167,20 @@ class Balance:
     def _n_slow(self) -> int:
         """Number of low frequencies, where noise hardly matters."""
         moving = int(np.searchsorted(self._omega, 2 * np.pi * LEAST_FULL))
-        return max(20, min(len(self._roots) // 5, moving))
+        most = max(LEAST_SLOW, min(len(self._roots) // 5, moving))
+        acceleration = np.cumsum(np.sum(self._roots[:most, :, 1] ** 2, axis=1))
+        noise = np.cumsum((self._omega[:most] ** 2 * self._white.displacement) ** 2)
+        return max(LEAST_SLOW, int(np.count_nonzero(acceleration > CLEAR * noise)))
 
     def unexplained(self, environment: Environment) -> float:
         """Share of the load's power at low frequencies that mass, damping and stiffness leave [-]."""
-        return self._left(np.array([environment.m_env, environment.b_env, environment.k_env]))
+        return self._left(np.array([environment.m_env, environment.b_env, environment.k_env]), self._white)
 
-    def _left(self, values: Array) -> float:
-        slow = slice(self._n_slow)
-        return float(np.sum(self._noise(values)[slow] ** 2) / np.sum(self._roots[slow, :, 0] ** 2))
+    def _left(self, values: Array, levels: NoiseLevels) -> float:
+        """The same, but for what instruments explain that have the noise of given levels, or what is white if less."""
+        slow, least = slice(self._n_slow), NoiseLevels(*np.minimum(levels, self._white).tolist())
+        left = np.sum(self._noise(values)[slow] ** 2) - np.sum(self._density(values, least)[slow])
+        return float(max(left, 0.0) / np.sum(self._roots[slow, :, 0] ** 2))
 
     def _noise(self, values: Array) -> Array:
         """What is left of the balance, (frequency, 4): its power is the sum of squares."""
@@ -292,26 +279,9 @@ class Balance:
         return np.asarray(np.linalg.inv(information) * self._shorter / (2 * self._n_averages))
 
     def displacement(self, environment: Environment, levels: NoiseLevels) -> Array:
-        """Best displacement from encoders and gauge [m], (trial, time, axis).
-
-        Its last `EDGE` s are not to be used, nor the first of trials that start amid the movement.
-        """
-        impedance = np.array([environment.m_env, environment.b_env, environment.k_env]) @ self._powers
-        gain = gauge_gain(impedance, levels)
-        balance = fft.irfft(self._load - impedance[:, None] * self._path, self._n_padded, axis=1)
-        # Where the record breaks off the balance holds a jump, on which the gain of good instruments would ring on; and
-        # where it begins, unless the handle is at rest. Differences of the first samples reach back before them: that
-        # is the end of what is padded.
-        end, half = self._n_samples, self._n_edge // 2
-        at_zero = start_at_zero(self._displacement, self._rate)
-        balance[:, end - half : self._n_padded - self._n_edge if at_zero else None] = 0.0
-        fade = signal.windows.hann(2 * half, sym=False)[:, None]
-        balance[:, end - 2 * half : end - half] *= fade[half:]
-        if not at_zero:
-            balance[:, :half] = 0.0
-            balance[:, half : 2 * half] *= fade[:half]
-        better = fft.irfft(gain[:, None] * fft.rfft(balance, axis=1), self._n_padded, axis=1)[:, :end]
-        return np.asarray(self._displacement + better)
+        """Best displacement from encoders and gauge [m], (trial, time, axis)."""
+        d, f, x = self._signals
+        return smoothed(x, d - f, self._rate, environment, levels)
 
 
 def _powers(frequency: Array) -> ComplexArray:

@@ -37,20 +37,8 @@ def start_at_rest(perturbation: Array, force: Array, displacement: Array, rate: 
       displacement: x [m].
       rate: of the samples [Hz].
     """
-    held = np.abs(force[:, 0])
-    # A handle at rest exerts on the hand what is exerted on it, where that is not nothing.
-    is_held = (held > HELD * force.std(axis=1)) & (np.abs(perturbation[:, 0] - force[:, 0]) < HELD * held)
-    return not is_held.any() and start_at_zero(displacement, rate)
-
-
-def start_at_zero(displacement: Array, rate: float) -> bool:
-    """Whether the handle is at zero and hardly moves at the start of every trial.
-
-    Args:
-      displacement: x [m], (trial, time, axis).
-      rate: of the samples [Hz].
-    """
-    x, apart = displacement, max(1, round(STEP * rate))
+    d, f, x = perturbation, force, displacement
+    apart = max(1, round(STEP * rate))
     steps = x[:, apart:] - x[:, :-apart]
     place, step = np.abs(x[:, 0]), np.abs(steps[:, 0])
     # Fourth differences are of noise alone: 70 times its variance; a step has twice that.
@@ -58,7 +46,10 @@ def start_at_zero(displacement: Array, rate: float) -> bool:
     rest = AT_REST * np.sqrt(np.mean(x**2, axis=1)) + by_noise
     # A slow movement makes steps that are small beside the way that it goes, but not beside its other steps.
     slow = SLOW * np.sqrt(np.mean(steps**2, axis=1)) + by_noise
-    return bool(np.all((place < rest) & (step < np.minimum(rest, slow))))
+    held = np.abs(f[:, 0])
+    # A handle at rest exerts on the hand what is exerted on it, where that is not nothing.
+    is_held = (held > HELD * f.std(axis=1)) & (np.abs(d[:, 0] - f[:, 0]) < HELD * held)
+    return bool(np.all((place < rest) & (step < np.minimum(rest, slow))) and not is_held.any())
 
 
 def constant_force(force: Array) -> Array:

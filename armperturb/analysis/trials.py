@@ -14,8 +14,9 @@ import numpy as np
 import xarray as xr
 
 from armperturb.analysis.cuts import limit_samples, of_condition, one_condition, onset_samples
-from armperturb.analysis.force_balance import EDGE, Balance, NoiseLevels, Skew
+from armperturb.analysis.force_balance import EDGE, Balance, Skew
 from armperturb.analysis.numerics.periodicity import are_independent, samples_of_period
+from armperturb.analysis.smoother import NoiseLevels
 from armperturb.analysis.start import constant_force, first_push, start_at_rest
 from armperturb.arrays import Array, Indices
 from armperturb.copied_trials import Lines, each_once, joined_lines, without_copies

@@ -1,8 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import signal
 
-from armperturb.analysis.force_balance import EDGE, Balance, NoiseLevels
+from armperturb.analysis.force_balance import EDGE, Balance
+from armperturb.analysis.smoother import NoiseLevels
 from armperturb.environment import Environment
 
 RATE, N_SAMPLES, N_TRIALS = 200.0, 6000, 4
@@ -11,7 +14,7 @@ LEVELS = NoiseLevels(force=0.02, displacement=8e-6)
 INNER = slice(round(EDGE * RATE), -round(EDGE * RATE))
 
 
-def moving(seed, late=0.0):
+def moving(seed, late=0.0, environment=ENVIRONMENT):
     """A handle that starts at rest and is amid movement at the end [m], and the force that this takes, late [N]."""
     rng = np.random.default_rng(seed)
     n = 2 * N_SAMPLES
@@ -22,7 +25,7 @@ def moving(seed, late=0.0):
     fade = np.clip(np.minimum(time, 60.0 - time), 0.0, 1.0)
     path = 2.0 * np.fft.irfft(random[0] + 1j * random[1], n, axis=0) * (0.5 - 0.5 * np.cos(np.pi * fade))[:, None]
     s = 2j * np.pi * frequency[:, None]
-    impedance = (ENVIRONMENT.m_env * s**2 + ENVIRONMENT.b_env * s + ENVIRONMENT.k_env) * np.exp(-s * late)
+    impedance = (environment.m_env * s**2 + environment.b_env * s + environment.k_env) * np.exp(-s * late)
     load = np.fft.irfft(impedance * np.fft.rfft(path, axis=0), n, axis=0)
     return tuple(values[:N_SAMPLES].reshape(N_SAMPLES, N_TRIALS, 2).swapaxes(0, 1) for values in (path, load))
 
@@ -91,21 +94,52 @@ def test_combined_displacement_has_the_variance_of_theory_and_is_better_than_eit
     assert power[frequency > 35].mean() < (LEVELS.displacement / 25) ** 2
 
 
-@pytest.mark.parametrize("amid", [False, True])
-def test_what_is_not_recorded_before_the_start_does_not_ring_in_the_combined_displacement(amid):
-    """Noise of the first samples is no jump of the handle; a movement on whose way the record begins is one."""
-    levels = NoiseLevels(force=0.02, displacement=4e-5)
-    path, load = (signal[:, 1000 if amid else 0 :] for signal in moving(0))
+STIFF = Environment(m_env=8.0, b_env=2.0, k_env=2000.0)
+
+
+@pytest.mark.parametrize(
+    ("environment", "levels"),
+    [
+        (ENVIRONMENT, NoiseLevels(force=0.02, displacement=4e-5)),
+        (ENVIRONMENT, NoiseLevels(force=1.0, displacement=2e-6)),
+        (replace(ENVIRONMENT, b_env=200.0), NoiseLevels(force=0.02, displacement=4e-5)),
+        (STIFF, NoiseLevels(force=0.005, displacement=1e-5)),
+    ],
+)
+@pytest.mark.parametrize("first", [0, 1000])
+def test_the_combined_displacement_is_as_good_at_both_ends_as_amid(environment, levels, first):
+    """Whether a record begins at rest or amid the movement, on whose way it ends."""
+    path, load = (signal[:, first : first + 4000] for signal in moving(0, environment=environment))
     rng = np.random.default_rng(1)
     noisy = path + levels.displacement * rng.normal(size=path.shape)
     balance = Balance(np.zeros_like(load), levels.force * rng.normal(size=load.shape) - load, noisy, RATE)
-    error = np.sqrt(np.mean((balance.displacement(ENVIRONMENT, levels) - path) ** 2, axis=(0, 2)))
-    later = np.sqrt(np.mean(error[round(2.0 * RATE) : round(10.0 * RATE)] ** 2))
-    first = error[: round(EDGE * RATE)]
-    assert later < 0.3 * levels.displacement
-    # Where it begins amid the movement the encoders have to do.
-    assert np.sqrt(np.mean(first**2)) < (1.1 * levels.displacement if amid else 1.5 * later)
-    assert first.max() < (2.0 * levels.displacement if amid else 3.0 * later)
+    error = np.sqrt(np.mean((balance.displacement(environment, levels) - path) ** 2, axis=(0, 2)))
+    amid = np.sqrt(np.mean(error[1000:3000] ** 2))
+    for end in (error[:40], error[40:200], error[-200:-40], error[-40:]):
+        assert np.sqrt(np.mean(end**2)) < min(2.5 * amid, 1.2 * levels.displacement)
+    assert error.max() < 2.0 * levels.displacement
+
+
+@pytest.mark.parametrize(
+    ("environment", "levels"),
+    [
+        (replace(ENVIRONMENT, m_env=15.0), NoiseLevels(force=0.05, displacement=3e-4)),
+        (replace(ENVIRONMENT, m_env=0.5), NoiseLevels(force=0.5, displacement=2e-6)),
+        (STIFF, NoiseLevels(force=0.05, displacement=3e-4)),
+    ],
+)
+def test_noisy_instruments_are_no_wrong_sign(environment, levels):
+    path, load = moving(0, environment=environment)
+    rng = np.random.default_rng(2)
+    d = 0.5 * load
+    x, f = (of + sd * rng.normal(size=of.shape) for of, sd in ((path, levels.displacement), (d - load, levels.force)))
+    balance = Balance(d, f, x, RATE)
+    found, noise = balance.fit()
+    assert found.m_env == pytest.approx(environment.m_env, rel=0.02)
+    assert noise.force == pytest.approx(levels.force, rel=0.5)
+    assert balance.unexplained(found) < 0.02
+    with pytest.raises(ValueError, match="force must be the reaction force"):
+        Balance(d, load + d + levels.force * rng.normal(size=load.shape), x, RATE).fit()
 
 
 @pytest.mark.slow(reason="balances many recordings")

@@ -27,7 +27,7 @@ from armperturb.analysis.fit.frequency_bands import EXCITED_POWER
 from armperturb.analysis.fit.frequency_rows import applied, applied_rows, complex_values
 from armperturb.analysis.fit.total_admittance import TotalAdmittance
 from armperturb.analysis.fit.whittle import ALL, ROUND_OFF, Normal, Whittle
-from armperturb.analysis.force_balance import NoiseLevels, gauge_gain
+from armperturb.analysis.smoother import NoiseLevels, gauge_gain
 from armperturb.arrays import Array, ComplexArray, Indices
 from armperturb.environment import Environment
 from armperturb.subject import Subject

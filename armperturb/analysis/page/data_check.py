@@ -5,10 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from armperturb.analysis.force_balance import NoiseLevels, Skew
+from armperturb.analysis.force_balance import Skew
 from armperturb.analysis.imbalance import Imbalance
 from armperturb.analysis.periods import common_period
 from armperturb.analysis.plateaus import LEAST_RUN, clipped_stretches, held_stretches, runs
+from armperturb.analysis.smoother import NoiseLevels
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.environment import Environment
 

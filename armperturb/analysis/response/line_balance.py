@@ -22,8 +22,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from armperturb.analysis.force_balance import EDGE, Balance, NoiseLevels
+from armperturb.analysis.force_balance import EDGE, Balance
 from armperturb.analysis.response.local_polynomial import LocalFit
+from armperturb.analysis.smoother import NoiseLevels
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array, ComplexArray
 from armperturb.environment import Environment

@@ -33,7 +33,8 @@ from armperturb.analysis.arm.parameters import parameter_vector
 from armperturb.analysis.fit.joint_likelihood import require_informative
 from armperturb.analysis.fit.likelihood import TAPER
 from armperturb.analysis.fit.structures import Structure
-from armperturb.analysis.force_balance import EDGE, NoiseLevels
+from armperturb.analysis.force_balance import EDGE
+from armperturb.analysis.smoother import NoiseLevels
 from armperturb.arrays import Array, ComplexArray
 from armperturb.environment import Environment
 from armperturb.subject import Subject

@@ -11,7 +11,7 @@ from armperturb.analysis.defaults import SETTLING, WINDOW_START
 from armperturb.analysis.fit.joint_likelihood import SHARES
 from armperturb.analysis.fit.structures import STRUCTURES, Structure
 from armperturb.analysis.fit.truth import at_truth
-from armperturb.analysis.force_balance import NoiseLevels
+from armperturb.analysis.smoother import NoiseLevels
 from armperturb.environment import Environment
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.perturbations import Perturbation

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from armperturb.analysis.force_balance import NoiseLevels
 from armperturb.analysis.numerics.periodicity import find_period
 from armperturb.analysis.periods import common_period
 from armperturb.analysis.response.closed_loop import estimate_noise
@@ -17,6 +16,7 @@ from armperturb.analysis.response.frequency_response import FrequencyResponse
 from armperturb.analysis.response.line_balance import LineBalance
 from armperturb.analysis.response.local_polynomial import Window, fit_locally, with_differences
 from armperturb.analysis.response.multisines import estimate_multisine
+from armperturb.analysis.smoother import NoiseLevels
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.environment import Environment
 from armperturb.recording import make_recording

@@ -18,8 +18,9 @@ from armperturb.analysis.fit.likelihood import TAPER
 from armperturb.analysis.fit.maximum_likelihood import estimate
 from armperturb.analysis.fit.structures import STRUCTURES
 from armperturb.analysis.fit.truth import at_truth, true_values
-from armperturb.analysis.force_balance import EDGE, NoiseLevels
+from armperturb.analysis.force_balance import EDGE
 from armperturb.analysis.results import LINES
+from armperturb.analysis.smoother import NoiseLevels
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
