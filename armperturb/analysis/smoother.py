@@ -71,11 +71,11 @@ def smoothed(displacement: Array, load: Array, rate: float, environment: Environ
     s = 2j * np.pi * fft.rfftfreq(n_padded, 1.0 / rate)
     impedance = np.asarray(environment.m_env * s**2 + environment.b_env * s + environment.k_env)
     gain = gauge_gain(impedance, levels)[:, None]
-    kept = levels.force**2 / (levels.displacement**2 * np.abs(impedance) ** 2 + levels.force**2)[:, None]
+    of_path = levels.force**2 / (levels.displacement**2 * np.abs(impedance) ** 2 + levels.force**2)[:, None]
     path, forces = (fft.rfft(_continued(values, beyond), n_padded, axis=1) for values in (displacement, load))
     inside = slice(beyond, beyond + n)
-    better = fft.irfft(kept * path + gain * forces, n_padded, axis=1)[:, inside]
-    left = fft.irfft(kept * (forces - impedance[:, None] * path), n_padded, axis=1)[:, inside]
+    better = fft.irfft(of_path * path + gain * forces, n_padded, axis=1)[:, inside]
+    left = fft.irfft(of_path * (forces - impedance[:, None] * path), n_padded, axis=1)[:, inside]
     # Each residual over its noise; only the ratio counts.
     ratio = levels.displacement / levels.force
     off = np.stack([displacement - better, ratio * left])

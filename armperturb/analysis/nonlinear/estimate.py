@@ -234,6 +234,11 @@ def _estimate(
         for label, test in tested.items()
         if test.p_value < SUSPICIOUS
     ]
+    if problem.uses_emg and any(test.p_value < SUSPICIOUS for test in tested.values()):
+        remarks.append(
+            "EMG that is early or late moves delays and gains by far more than their intervals, and shows as such lack "
+            "of fit: compare a fit without EMG (lead of the sidecar, --emg-delay)"
+        )
     if parameters.model.law != "linear":
         remarks += _one_amplitude(problem.sets)
     return NonlinearEstimate(

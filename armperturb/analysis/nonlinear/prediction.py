@@ -15,7 +15,7 @@ from armperturb.analysis.results import Description, Result
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array, Indices
 from armperturb.planar_arm.lanes import lane_table
-from armperturb.planar_arm.simulation import Disturbances
+from armperturb.planar_arm.simulation import STEP, Disturbances
 from armperturb.recording import LABELS
 from armperturb.subject import Subject
 
@@ -108,7 +108,8 @@ def predict_pulses(recorded: ConditionTrials, person: Subject) -> list[PulsePred
     trials, ends = _with_window(recorded)
     if not trials:
         return []
-    disturbances = Disturbances(recorded.drive[trials, : int(ends.max())], recorded.rate)
+    step = min(STEP, min(person.Td_s, person.Td_e) / 3.0)  # a delay takes three steps
+    disturbances = Disturbances(recorded.drive[trials, : int(ends.max())], recorded.rate, longest_step=step)
     lanes = lane_table([person] * len(trials), [recorded.environment] * len(trials), disturbances.timestep)
     return _compared(recorded, trials, ends, disturbances.responses(lanes, np.arange(len(trials)), ends))
 

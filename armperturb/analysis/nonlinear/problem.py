@@ -181,6 +181,11 @@ class Problem(SimulatedTrials):
         """Of the movement alone, (unknown, unknown); the same at all states with these slopes."""
         return self.gathered(state, [columns @ columns.T for columns in slopes])
 
+    @property
+    def uses_emg(self) -> bool:
+        """Whether EMG of some trials is fitted beside the movement."""
+        return not self._emg.is_empty
+
     def emg_normal(self, state: State, *, as_variance: bool = False) -> Normal:
         """Gauss-Newton equations of the EMG alone; zero without any.
 
@@ -190,7 +195,7 @@ class Problem(SimulatedTrials):
         """
         n, at = len(state.point), self._reflexes(state)
         changes = np.zeros((n + len(state.effects), *at.shape))
-        if not self._emg.is_empty:
+        if self.uses_emg:
             for column, name in enumerate(self.parameters.names):
                 if stem(name) in REFLEX:
                     point = state.point.copy()
@@ -205,7 +210,7 @@ class Problem(SimulatedTrials):
 
     def _reflexes(self, state: State) -> Array:
         """`reflex_values` of all trials, (trial, value); of none without EMG."""
-        if self._emg.is_empty:
+        if not self.uses_emg:
             return np.zeros((self.n_trials, N_REFLEX))
         bodies = [self.parameters.bodies[task] for task in self.tasks]
         return np.array([reflex_values(each or body) for each, body in zip(self.subjects(state), bodies, strict=True)])

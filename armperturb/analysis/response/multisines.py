@@ -410,7 +410,7 @@ def _on_distance(trials: Periodic) -> tuple[str, ...]:
         return (
             f"every line of a period of {trials.period:g} s is excited, of which trials hold hardly two: at "
             f"{', '.join(f'{f:.3g}' for f in middle_of)} Hz lines over more than {WIDEST:g} Hz share a point, and "
-            "circles may hold too little (record longer trials, or use --method arx)",
+            "circles may hold too little (record longer trials; response --method arx needs no lines)",
         )
     if not wide:
         return ()
@@ -418,5 +418,6 @@ def _on_distance(trials: Periodic) -> tuple[str, ...]:
     return (
         f"lines of the perturbation are {gap:.3g} Hz apart, and single ones do not tell what x and y do: from "
         f"{low:.3g} to {high:.3g} Hz neighbours share a point, over which the response may bend by tens of percent, "
-        "and circles hold too little (record trials with other phases along x and y, or use --method arx)",
+        "and circles hold too little (record trials with other phases along x and y; "
+        "response --method arx needs no lines)",
     )

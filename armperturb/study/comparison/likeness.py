@@ -12,7 +12,7 @@ reference as it is in a recording of a person.
 """
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -195,13 +195,17 @@ def compare(
     frequency, admittance = estimate.frequency[chosen], estimate.response[chosen]
     geometry: dict[str, Any] = {name: float(first[name].values[0]) for name in GEOMETRY}
     known = bool(np.isfinite([*geometry.values()]).all())
+    held = [_manipulator(trials) for trials in several]
     try:
-        people = _drawn(reference, task, seed, geometry if known else {})
+        environments = {of_trials or Environment() for of_trials in held}
+        people = _drawn(reference, task, seed, geometry if known else {}, environments)
     except ValueError as error:
         raise ValueError(
             f"recording: no person has its posture: {error} (--turn-deg turns the axes of a model)"
         ) from None
     said: tuple[str, ...] = ()
+    if None in held:
+        said = ("the recording does not show what its hand held: people beside it hold the thesis's manipulator",)
     if reference == "thesis" and ideal:
         of_people = np.stack([arm_admittance(person, frequency) for person in people])
     else:
@@ -215,6 +219,7 @@ def compare(
         if len(borne) < len(recordings):
             gone = len(recordings) - len(borne)
             said = (
+                *said,
                 f"{gone} of {len(recordings)} people leave the workspace under these forces: the arm stands beside the "
                 "stiffer ones",
             )
@@ -247,8 +252,22 @@ def _method_for(several: Sequence[ConditionTrials]) -> str:
     return "multisine"
 
 
-def _drawn(reference: str, task: str, seed: int, geometry: Mapping[str, Any]) -> list[Subject]:
-    """The people of a reference, in a posture in which they are stable on the thesis's manipulator."""
+def _manipulator(trials: ConditionTrials) -> Environment | None:
+    """What the hand held, as force and movement show it, to four digits; None where they do not.
+
+    More digits depend on the order of the trials.
+    """
+    try:
+        shown = trials.environment
+    except ValueError:
+        return None
+    return replace(shown, **{name: float(f"{getattr(shown, name):.4g}") for name in ("m_env", "b_env", "k_env")})
+
+
+def _drawn(
+    reference: str, task: str, seed: int, geometry: Mapping[str, Any], held: Iterable[Environment]
+) -> list[Subject]:
+    """The people of a reference, in a posture in which they are stable with what hands held."""
     preset, generator = (POSITION if task == POSITION.task else RELAX).name, np.random.default_rng(seed)
     people: list[Subject] = []
     numbers = itertools.count()
@@ -258,7 +277,7 @@ def _drawn(reference: str, task: str, seed: int, geometry: Mapping[str, Any]) ->
         else:
             drawn = draw_person(seed, next(numbers)).subjects[task]
         person = replace(drawn, **geometry)
-        if largest_real_pole(person, Environment()) < 0.0:
+        if all(largest_real_pole(person, environment) < 0.0 for environment in held):
             people.append(person)
     return people
 
@@ -266,12 +285,14 @@ def _drawn(reference: str, task: str, seed: int, geometry: Mapping[str, Any]) ->
 def _under_the_same_forces(
     people: Sequence[Subject], recorded: Sequence[ConditionTrials], seed: int, *, linear: bool, ideal: bool
 ) -> list[list[xr.Dataset]]:
-    """Recordings of each person, a trial for each recorded force."""
+    """Recordings of each person, a trial for each recorded force, with what the recorded hand held."""
     instruments = None if ideal else Instruments(emg=None, marker_noise=None)
-    forces = [record.perturbation for record in records_of(recorded, 0.0)]
-    forces.sort(key=lambda force: force.tobytes())  # so that the order of the trials has no say in people's noise
+    forces = [
+        (record.perturbation, _manipulator(trials)) for trials in recorded for record in records_of([trials], 0.0)
+    ]
+    forces.sort(key=lambda each: each[0].tobytes())  # so that the order of the trials has no say in people's noise
     of_force = []
-    for number, force in enumerate(forces):
+    for number, (force, held) in enumerate(forces):
         trials = [
             Trial(
                 subject=person,
@@ -281,7 +302,7 @@ def _under_the_same_forces(
             )
             for place, person in enumerate(people)
         ]
-        of_force.append(run_experiment(trials, linear=linear, engine="compiled", instruments=instruments))
+        of_force.append(run_experiment(trials, held, linear=linear, engine="compiled", instruments=instruments))
     return [[trials.isel(trial=[place]) for trials in of_force] for place in range(len(people))]
 
 

@@ -321,6 +321,10 @@ def test_pulses_of_the_true_person_are_predicted_and_those_of_a_linear_arm_are_n
     (linear,), (skeletal,) = predict_pulses_linearly(recorded, ARM), predict_pulses(recorded, ARM)
     assert max(linear.vaf, skeletal.vaf) < 95.0
     assert not np.allclose(linear.predicted, skeletal.predicted, rtol=0.01)
+    reflexes = {"kv_s": 0.3, "kv_e": 0.3, "fact_s": 2.0, "fact_e": 2.0}
+    near, short = (replace(ARM, **reflexes, Td_s=delay, Td_e=delay) for delay in (0.0076, 0.005))  # below three steps
+    of_near, of_short = (predict_pulses(recorded, arm)[0].predicted for arm in (near, short))
+    np.testing.assert_allclose(of_short, of_near, atol=0.05 * np.abs(of_near).max())
     assert predict_pulses(recorded.before(600), PERSON) == []  # the window is not recorded
     for end, n_predicted in ((650, 1), (649, 0)):  # 1 s, and 0.5 s that fits leave out at the end of a record
         cut = made.trial_set(recorded.recording.isel(time=slice(end)))

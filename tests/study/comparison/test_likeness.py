@@ -92,6 +92,19 @@ def test_noise_pulses_and_few_trials_make_nobody_inhuman(task, n_trials):
 
 
 @pytest.mark.slow(reason="simulates trials")
+@pytest.mark.slow(reason="simulates people")
+def test_people_hold_what_the_recorded_hand_held():
+    """On a stiff manipulator people move less, and are stiffer, than the same force would make them on the thesis's."""
+    stiff = ap.Environment(m_env=1.0, b_env=20.0, k_env=300.0)
+    person = ap.draw_person(77, 0).subjects["RT"]
+    trials = [
+        ap.Trial(subject=person, perturbation=ap.Multisine.draw(rms=2.5, seed=seed, crested=False)) for seed in range(2)
+    ]
+    likeness = ap.compare(ap.run_experiment(trials, stiff, engine="compiled"), ideal=True)
+    assert {likeness.is_human(group) for group in likeness.distance} == {True}, likeness.distance
+    assert not any("workspace" in remark for remark in likeness.remarks)
+
+
 def test_people_have_the_same_noise_in_whatever_order_trials_come():
     multisines = [ap.Multisine.draw(rms=3.0, seed=seed, crested=False) for seed in (0, 1)]
     trials = ap.run_experiment(
