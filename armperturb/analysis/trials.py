@@ -197,7 +197,7 @@ class ConditionTrials:
     def end(self) -> int:
         """Number of samples that fits over whole records may use.
 
-        At the workspace limit the handle is blocked, and near the end of a record `displacement` is not reliable.
+        At the workspace limit the handle is blocked. The last `EDGE` s are those in which filters of a recorder end.
         """
         limit = min(float(self.limit.min(initial=np.inf)), self.n_samples)
         last = self.n_samples if self.last is None else self.last
