@@ -78,11 +78,16 @@ def smoothed(displacement: Array, load: Array, rate: float, environment: Environ
     left = fft.irfft(of_path * (forces - impedance[:, None] * path), n_padded, axis=1)[:, inside]
     # Each residual over its noise; only the ratio counts.
     ratio = levels.displacement / levels.force
-    off = np.stack([displacement - better, ratio * left])
-    better = better.copy()
-    for backwards in (False, True):
-        modes, of_force = _modes(n // 2, rate, environment, levels, backwards=backwards)
-        part = slice(n - len(modes), n) if backwards else slice(0, len(modes))
+    off, better = np.stack([displacement - better, ratio * left]), better.copy()
+    start, end = (_modes(n, rate, environment, levels, backwards=backwards) for backwards in (False, True))
+    n_modes = start.shape[1]
+    if 2 * n_modes <= n:
+        parts = [(slice(0, n_modes), start), (slice(n - n_modes, n), end)]
+    else:  # some reach the other end
+        nothing = np.zeros((2, n - n_modes, 2))
+        from_start, from_end = np.concatenate([start, nothing], axis=1), np.concatenate([nothing, end], axis=1)
+        parts = [(slice(0, n), np.concatenate([from_start, from_end], axis=2))]
+    for part, (modes, of_force) in parts:
         target = np.moveaxis(off[:, :, part], 2, 1).reshape(2 * len(modes), -1)
         amounts = np.linalg.lstsq(np.concatenate([modes, ratio * of_force]), target, rcond=1e-9)[0]
         better[:, part] += (modes @ amounts).reshape(len(modes), len(better), -1).swapaxes(0, 1)
@@ -101,10 +106,8 @@ def _continued(values: Array, beyond: int) -> Array:
     return np.concatenate([before, values, after], axis=1)
 
 
-def _modes(
-    n_most: int, rate: float, environment: Environment, levels: NoiseLevels, *, backwards: bool
-) -> tuple[Array, Array]:
-    """Two modes that decay from an end of a record inwards, and the force that each takes [N/m], (time, 2) each.
+def _modes(n_most: int, rate: float, environment: Environment, levels: NoiseLevels, *, backwards: bool) -> Array:
+    """Two modes that decay from an end of a record inwards, and the force that each takes [N/m], (2, time, mode).
 
     Args:
       n_most: most samples.
@@ -124,5 +127,5 @@ def _modes(
     forces = (m * poles**2 + sign * b * poles + k) * waves
     if poles[0].imag != 0.0:  # a conjugate pair: both parts of one of them
         waves, forces = (np.stack([each[:, 0].real, each[:, 0].imag], axis=1) for each in (waves, forces))
-    waves, forces = waves.real, forces.real
-    return (waves[::-1], forces[::-1]) if backwards else (waves, forces)
+    both = np.stack([waves.real, forces.real])
+    return both[:, ::-1] if backwards else both

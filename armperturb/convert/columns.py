@@ -23,6 +23,7 @@ WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 _KNOWN = {unit for known in UNITS.values() for unit in known} - {""}
 _UNITS = "|".join(sorted(_KNOWN))
 _EMG = {*TABLES["words"]["emg"]}
+_SIGNALS = {word for known in TABLES["roles"].values() for word in known.split()}
 _UNIT = re.compile(rf"\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$|[\s_.-]+({_UNITS})$")
 
 
@@ -218,7 +219,9 @@ def _matlab_columns(name: str, value: Any, of_trials: bool) -> Iterator[Column]:
             yield Column(f"{name}({','.join(index)})", f"{name} {muscle + 1}", value.take(muscle, last).ravel())
         return
     if of_trials:
-        yield Column(f"{name}({','.join(dims)})", name.rpartition(".")[2], value.ravel())
+        structure, _, field = name.rpartition(".")
+        is_signal = bool({*Column(name, structure, value).words()[0]} & _SIGNALS)  # force.x, but not data.X
+        yield Column(f"{name}({','.join(dims)})", name if is_signal else field, value.ravel())
     elif value.ndim == 2 and len("".join(leaf)) > 1 and axis_of(leaf)[1] is not None:
         yield Column(f"{name}({','.join(dims)})", name, value.ravel())
     elif value.shape[last] in (2, 3):

@@ -95,6 +95,8 @@ def one_axis_fields(path: Path, columns: Sequence[Column], guessed: dict[str, st
         if others:
             rest = ", ".join(other.channel for other in others)
             guessed[f"{field}.channels.x"] = f"one axis is taken; or {rest}, or two axes in place of servo"[:190]
+        if "trial" in column.channel.rpartition("(")[2]:
+            guessed.setdefault(f"{field}.channels.x", "columns are taken for trials; of several joints, choose one")
         if signal["unit"] not in UNITS[unit]:
             signal["unit"] = _movement_units(column, angular=angular)[0] if unit in ("m", "rad") else unit
             guessed[f"{field}.unit"] = "from the size of its values" if unit in ("m", "rad") else "the usual one"

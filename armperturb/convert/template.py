@@ -114,9 +114,11 @@ def write_sidecar(file: str | Path, out: str | Path | None = None, *, rate: floa
 # What it means.
 
 
-def _is_rate(column: Column) -> bool:
-    """Whether a name, or a field of a structure, is that of a rate."""
-    return " ".join(column._replace(label=column.label.rpartition(".")[2]).words()[0]) in WORDS["rate"]
+def _is_rate_of_structure(column: Column) -> bool:
+    """Whether a number is the rate in a structure, and not that of EMG or of a filter."""
+    others = {"filter", *WORDS["emg"]}
+    field = column._replace(label=column.label.rpartition(".")[2]).words()[0]
+    return len(column.values) == 1 and " ".join(field) in WORDS["rate"] and not {*column.words()[0]} & others
 
 
 def _guess(
@@ -138,10 +140,8 @@ def _guess(
             labels[label if label in TRIAL_COORDINATES else column.channel.lower()] = column.values
         elif column.values.dtype.kind not in "fiu":
             continue
-        elif len(column.values) == 1 and "rate" not in content and _is_rate(column):
+        elif name in WORDS["rate"] and len(column.values) == 1 and "rate" not in content:
             content["rate"] = float(column.values[0])
-            if name not in WORDS["rate"]:
-                guessed["rate"] = f"the sampling rate in Hz: {column.channel} may be that of its structure alone"
         elif words and words[-1] in WORDS["time"] and "time" not in content:
             content["time"] = {"channel": column.channel, "unit": unit}
             if unit not in UNITS["s"]:
@@ -159,6 +159,10 @@ def _guess(
     if "time" not in content and "rate" not in content and not any(column.rate for column in columns):
         content = {"rate": OPEN, **content}
         guessed = {"rate": "the sampling rate in Hz, or instead of it the field time", **guessed}
+        in_structures = [column for column in columns if _is_rate_of_structure(column)]
+        if len(in_structures) == 1:
+            content["rate"] = float(in_structures[0].values[0])
+            guessed["rate"] = f"the sampling rate in Hz, that of {in_structures[0].channel}"
     said: list[str] = []
     has_axes = any(len(pair) == 2 for stems in pairs.values() for pair in stems.values())
     if not has_axes and (paired := pairs_of_one_axis(singles)):

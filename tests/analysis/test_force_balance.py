@@ -123,6 +123,25 @@ def test_the_combined_displacement_is_as_good_at_both_ends_as_amid(environment, 
 @pytest.mark.parametrize(
     ("environment", "levels"),
     [
+        (ENVIRONMENT, NoiseLevels(force=1e-12, displacement=1e-5)),
+        (Environment(m_env=2.0, b_env=0.0, k_env=500.0), NoiseLevels(force=0.002, displacement=1e-3)),
+        (Environment(m_env=0.5, b_env=60.0, k_env=50.0), NoiseLevels(force=0.001, displacement=1e-4)),
+        (Environment(m_env=2.0, b_env=5.0, k_env=0.0), NoiseLevels(force=1e-4, displacement=1e-4)),
+    ],
+)
+def test_ends_that_reach_each_other_are_told_apart(environment, levels):
+    """On manipulators that swing or creep for longer than the record lasts."""
+    path, load = (signal[:, 1000:2200] for signal in moving(0, environment=environment))
+    rng = np.random.default_rng(1)
+    noisy = path + levels.displacement * rng.normal(size=path.shape)
+    balance = Balance(np.zeros_like(load), levels.force * rng.normal(size=load.shape) - load, noisy, RATE)
+    error = np.sqrt(np.mean((balance.displacement(environment, levels) - path) ** 2))
+    assert error < 0.2 * levels.displacement
+
+
+@pytest.mark.parametrize(
+    ("environment", "levels"),
+    [
         (replace(ENVIRONMENT, m_env=15.0), NoiseLevels(force=0.05, displacement=3e-4)),
         (replace(ENVIRONMENT, m_env=0.5), NoiseLevels(force=0.5, displacement=2e-6)),
         (STIFF, NoiseLevels(force=0.05, displacement=3e-4)),

@@ -319,16 +319,36 @@ def test_matlab_files(tmp_path, form):
 
 @pytest.mark.slow(reason="three child processes for each file")
 @pytest.mark.parametrize("n_trials", [2, 3, 4])
-@pytest.mark.parametrize("in_structure", [False, True])
-def test_x_and_y_are_the_axes_of_trials_however_few(tmp_path, n_trials, in_structure):
+@pytest.mark.parametrize("form", ["variables", "structure", "structure of each"])
+def test_x_and_y_are_the_axes_of_trials_however_few(tmp_path, n_trials, form):
     parts = np.stack([np.concatenate(handle(trial % 2), axis=1) for trial in range(n_trials)], axis=1)
     content = dict(zip(("Dx", "Dy", "Fx", "Fy", "X", "Y"), np.moveaxis(parts, -1, 0), strict=True)) | {"fs": RATE}
-    savemat(tmp_path / "lab.mat", {"data": content} if in_structure else content)
+    if form == "structure of each":
+        names = {"pert": ("Dx", "Dy"), "force": ("Fx", "Fy"), "hand": ("X", "Y")}
+        content = {each: {"x": content[x], "y": content[y]} for each, (x, y) in names.items()} | {"fs": RATE}
+    savemat(tmp_path / "lab.mat", {"data": content} if form == "structure" else content)
     write_sidecar(tmp_path / "lab.mat")
     recording = import_recording([tmp_path / "lab.mat"]).recording
     assert recording.sizes["trial"] == n_trials
     for trial in range(n_trials):
         np.testing.assert_allclose(recording["displacement"].values[trial], handle(trial % 2)[2], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("rates", "rate"),
+    [
+        ({"fs": RATE, "filter": {"rate": 50.0}}, RATE),
+        ({"filter": {"rate": 50.0}, "kin": {"fs": RATE}}, RATE),
+        ({"emg": {"fs": 2000.0}, "kin": {"fs": RATE}}, RATE),
+        ({"kin": {"fs": RATE}, "camera": {"fs": 50.0}}, "?"),
+    ],
+)
+def test_a_rate_in_a_structure_is_taken_if_it_is_the_only_one(tmp_path, rates, rate):
+    signals = dict(zip(("Dx", "Dy", "Fx", "Fy", "Xx", "Xy"), np.concatenate(handle(0), axis=1).T, strict=True))
+    savemat(tmp_path / "lab.mat", rates | signals)
+    written = json.loads(write_sidecar(tmp_path / "lab.mat").path.read_text())
+    assert written["rate"] == rate
+    assert ("rate" in written["guessed"]) == ("fs" not in rates)
 
 
 @pytest.mark.slow(reason="three child processes")
