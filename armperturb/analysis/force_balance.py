@@ -80,7 +80,7 @@ class Balance:
     """
 
     def __init__(self, perturbation: Array, force: Array, displacement: Array, rate: float) -> None:
-        self._signals, self._displacement, self._rate = (perturbation, force, displacement), displacement, rate
+        self._signals, self._rate = (perturbation, force, displacement), rate
         self._n_samples, self._n_edge = displacement.shape[1], round(EDGE * rate)
         if self._n_samples < 10 * self._n_edge:
             raise ValueError(f"the recording lasts {self._n_samples / rate:g} s; expected at least {10 * EDGE:g} s")

@@ -98,11 +98,11 @@ class Simulate(Command):
                 f"simulate: rate = {self.rate:g} Hz; expected above {2.0 * instruments.antialias:g} Hz, as a filter of "
                 f"{instruments.antialias:g} Hz precedes the recorder (--ideal records without it)"
             )
+        m_env, b_env, k_env = self.manipulator
+        environment = Environment(m_env=m_env, b_env=b_env, k_env=k_env)
         arm = self.mjcf or self.subject
         try:
             record = self._of_subject if self.mjcf is None else self._of_model
-            m_env, b_env, k_env = self.manipulator
-            environment = Environment(m_env=m_env, b_env=b_env, k_env=k_env)
             recording, lines = record(perturbation, environment, instruments)
         except (ValueError, RuntimeError) as error:
             raise type(error)(f"{arm} with {self.perturbation}: {error}") from None

@@ -184,10 +184,13 @@ def _matrices_of_trials(content: Mapping[str, Any]) -> set[str]:
     angle, torque = ({*TABLES["words"][role]} for role in ("angle", "torque"))
     of_trials = set()
     for first, second in permutations(words, 2):
-        shape, named = content[first].shape, (words[first], words[second])
-        n_alike = sum(content[name].shape == shape and not words[name] & _EMG for name in words)
-        is_joint = n_alike == 2 and bool(named[0] & angle and named[1] & torque)
-        if content[second].shape == shape and (is_joint or named == ({"x"}, {"y"})):
+        shape = content[first].shape
+        if content[second].shape != shape:
+            continue
+        is_joint = bool(words[first] & angle and words[second] & torque) and not any(
+            content[name].shape == shape and not words[name] & _EMG for name in words.keys() - {first, second}
+        )
+        if is_joint or (words[first], words[second]) == ({"x"}, {"y"}):
             of_trials |= {first, second}
     return of_trials
 

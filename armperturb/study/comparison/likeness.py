@@ -29,7 +29,7 @@ from armperturb.analysis.measures.endpoint import EndpointMatrix
 from armperturb.analysis.periods import common_period
 from armperturb.analysis.response.estimate import response
 from armperturb.analysis.results import Description, Result, Table
-from armperturb.analysis.trials import ConditionTrials, prepared_condition, records_of
+from armperturb.analysis.trials import ConditionTrials, prepared_condition
 from armperturb.arrays import Array, ComplexArray
 from armperturb.cohort import draw_person, draw_subject
 from armperturb.controllers.remnant import HUMAN_NOISE
@@ -204,11 +204,11 @@ def compare(
             f"recording: no person has its posture: {error} (--turn-deg turns the axes of a model)"
         ) from None
     said: tuple[str, ...] = ()
-    if None in held:
-        said = ("the recording does not show what its hand held: people beside it hold the thesis's manipulator",)
     if reference == "thesis" and ideal:
         of_people = np.stack([arm_admittance(person, frequency) for person in people])
     else:
+        if None in held:
+            said = ("the recording does not show what its hand held: people beside it hold the thesis's manipulator",)
         recordings = _under_the_same_forces(people, several, seed, linear=reference == "thesis", ideal=ideal)
         borne = [each for each in recordings if not any(np.isfinite(part["limit_time"].values).any() for part in each)]
         if len(borne) < FEWEST_COMPARED:
@@ -288,7 +288,9 @@ def _under_the_same_forces(
     """Recordings of each person, a trial for each recorded force, with what the recorded hand held."""
     instruments = None if ideal else Instruments(emg=None, marker_noise=None)
     forces = [
-        (record.perturbation, _manipulator(trials)) for trials in recorded for record in records_of([trials], 0.0)
+        (record.perturbation, held)
+        for trials, held in zip(recorded, map(_manipulator, recorded), strict=True)
+        for record in trials.records(0.0)
     ]
     forces.sort(key=lambda each: each[0].tobytes())  # so that the order of the trials has no say in people's noise
     of_force = []

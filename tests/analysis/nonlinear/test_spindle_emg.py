@@ -105,7 +105,8 @@ def test_an_electromechanical_delay_is_not_a_neural_one():
 
 
 @pytest.mark.slow(reason="simulates and fits two trials")
-def test_emg_makes_reflexes_better_known():
+def test_emg_makes_reflexes_better_known_and_lack_of_fit_with_it_names_its_timing(monkeypatch):
+    monkeypatch.setattr("armperturb.analysis.nonlinear.estimate.SUSPICIOUS", 1.1)  # any p is a lack of fit
     true = true_values(PERSON, {})
     sought = ("kp.shoulder", "kp.two-joint", "kp.elbow", "Td", "spindle_saturation")
     names = Model(free=("Td",)).names("PT", ("PT7.5",))
@@ -123,3 +124,5 @@ def test_emg_makes_reflexes_better_known():
     for name in sought:
         assert both.coordinate_error[name] < 0.7 * alone.coordinate_error[name]
         assert abs(both.values[name] - true[name]) < 4.0 * both.standard_error[name]
+    named = [any(remark.startswith("EMG that is early or late") for remark in each.remarks) for each in (alone, both)]
+    assert named == [False, True]
